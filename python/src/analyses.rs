@@ -58,6 +58,7 @@ impl Look {
             shift_mm: within("shift_mm", self.shift_mm, 1e-6..=1e3, "1e-6 to 1000 mm")?,
             shifts: SHIFTS,
             whole: true,
+            energy: true,
             colour: false,
             psf_depths_mm: Vec::new(),
             memory: Limit::of_process(),
@@ -80,8 +81,8 @@ pub(crate) fn inspect(py: Python<'_>, lens: &Lens, wavelength_nm: Option<f64>) -
 }
 
 pub(crate) fn analysis(py: Python<'_>, lens: &Lens, kind: Kind, asked: Look) -> PyResult<Py<PyAny>> {
-    // Spots and distortion need no waves.
-    let options = Options { whole: kind == Kind::Mtf, ..asked.options()? };
+    // Spots need no maps and no MTF by diffraction, distortion no waves at all.
+    let options = Options { whole: kind == Kind::Mtf, energy: kind == Kind::Spot, ..asked.options()? };
     let lens = crate::lens::at(lens, asked.distance_mm)?;
     let (told, arrays) = work(py, || {
         let (overview, missing) = look(&lens, &options);

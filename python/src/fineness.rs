@@ -27,7 +27,9 @@ pub(crate) fn tuned(planned: &Planned, lens: isoplanat::Lens, scenes: &[(Plane, 
     let frame = &planned.frame.inner;
     let parts = scenes.iter().map(|(scene, region)| (scene, *region)).collect();
     let chosen = cheapest(&Patches { lens: &lens, frame, density: &planned.density, parts })?;
-    Ok((by(planned, lens, chosen.settings)?, chosen))
+    // What rays ask for is judged by rays.
+    let settings = Settings { diffraction: planned.plan.settings.diffraction, ..chosen.settings };
+    Ok((by(planned, lens, settings)?, chosen))
 }
 
 /// `planned` for `lens` by these settings.

@@ -200,7 +200,8 @@ pub(crate) fn numbers_of(lens: &Bound<'_, Lens>, trainable: Several<String>) -> 
 #[pymethods]
 impl Layer {
     #[new]
-    #[pyo3(signature = (lens, frame, distances_mm, trainable, illuminant, settings = None))]
+    #[pyo3(signature = (lens, frame, distances_mm, trainable, illuminant, settings = None, diffraction = None))]
+    #[expect(clippy::too_many_arguments, reason = "the keywords of a call")]
     fn new(
         py: Python<'_>,
         lens: &Bound<'_, Lens>,
@@ -209,7 +210,9 @@ impl Layer {
         trainable: Several<String>,
         illuminant: Option<String>,
         settings: Option<String>,
+        diffraction: Option<&str>,
     ) -> PyResult<Self> {
+        let model = crate::render::model(diffraction)?;
         let lens = lens.get().inner.clone();
         let frame = frame.map(|f| f.get().clone());
         let distances = distances_mm.map_or_else(|| vec![lens.object_vergence.recip()], |d| d.0);
@@ -225,7 +228,8 @@ impl Layer {
             let lens = standing(&lens, &frame, vergences[0])?;
             let variables = chosen(&lens, &trainable.0)?;
             let density = SpectralDensity::under(&Sensor::generic(), light)?;
-            let settings = settings.map_or(Ok(Settings::DESIGN), |text| fineness::read(&text))?;
+            let coarse = Settings { diffraction: model, ..Settings::DESIGN };
+            let settings = settings.map_or(Ok(coarse), |text| fineness::read(&text))?;
             let renderer = Renderer::planned(&lens, &frame.inner, &density, &vergences, settings)?;
             Ok(Planned {
                 at: lens.clone(),

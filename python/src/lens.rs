@@ -304,7 +304,7 @@ impl Lens {
     ///     Another lens's, usually this one before it was changed: its places on the sensor, distances, channels and window are taken over, and nothing
     ///     else may be given. What `Psf.vjp` differentiates.
     /// diffraction : bool
-    ///     Kernels by diffraction (scalar waves) in place of rays; they have no gradient yet.
+    ///     Kernels by diffraction (scalar waves) in place of rays.
     #[expect(clippy::too_many_arguments, reason = "the keywords of a call")]
     #[pyo3(signature = (fields_deg = None, distances_mm = None, pitch_um = None, size = None, *, fields = None, wavelengths_nm = None,
         rays = None, dtype = None, like = None, diffraction = false))]
@@ -398,7 +398,7 @@ impl Lens {
         crate::analyses::inspect(py, &self.inner, wavelength_nm)
     }
 
-    /// Spots by field: `fields` (rms, radii, centroid, best focus; mm), `plots`, and arrays `rays` [field, wavelength, ray, 5] (x, y in mm, slopes,
+    /// Spots by field: `fields` (rms, radii, centroid, best focus; radii by diffraction; mm; Strehl ratio), `plots`, and arrays `rays` [field, wavelength, ray, 5] (x, y in mm, slopes,
     /// weight), `wavelength_nm`, `weight`, `field_angle_deg`.
     #[pyo3(signature = (*, distance_mm = None, rays = 1600, max_angle_deg = None))]
     fn spot(

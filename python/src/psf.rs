@@ -280,13 +280,6 @@ impl Psf {
     ///
     /// `kernels_bar` has the shape of `kernels`. Held: places on the sensor, window, rays in the stop; `lens.psf(like=psf)` holds the same.
     fn vjp(&self, py: Python<'_>, kernels_bar: &Bound<'_, PyAny>) -> PyResult<Py<PyDict>> {
-        if self.plan.is_by_diffraction() {
-            return Err(refused(
-                "diffraction",
-                "kernels by diffraction",
-                "kernels of rays: those by diffraction have no gradient yet",
-            ));
-        }
         let bar = Floats::of(kernels_bar, "kernels_bar", Whole::Taken)?;
         let size = self.plan.size();
         let wanted = [self.plan.lines.len(), self.plan.fields(), self.plan.optics.channels(), size, size];

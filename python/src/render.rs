@@ -9,6 +9,7 @@ use isoplanat::imaging::sensor::illuminant::Illuminant;
 use isoplanat::lens::paraxial::require_real_image;
 use isoplanat::lens::{Prescription, SensorRaster};
 use isoplanat::math::memory::Limit;
+use isoplanat::psf::Model;
 use isoplanat::{
     Diffraction, Error, PlanOptions, Plane, Region, Renderer, Request, Result, Sensor, SpectralDensity, plan,
 };
@@ -161,8 +162,21 @@ fn bending(name: Option<&str>) -> PyResult<Diffraction> {
     match name {
         None | Some("auto") => Ok(Diffraction::Auto),
         Some("on") => Ok(Diffraction::On),
+        Some("approximate") => Ok(Diffraction::Approximate),
         Some("off") => Ok(Diffraction::Off),
-        Some(other) => Err(refused("diffraction", format!("{other:?}"), "\"on\", \"off\" or \"auto\"")),
+        Some(other) => {
+            Err(refused("diffraction", format!("{other:?}"), "\"on\", \"off\", \"approximate\" or \"auto\""))
+        }
+    }
+}
+
+/// By what a layer's kernels are made, by name: patches of a training do not decide it.
+pub(crate) fn model(name: Option<&str>) -> PyResult<Model> {
+    match name {
+        None | Some("off") => Ok(Model::Rays),
+        Some("approximate") => Ok(Model::Approximate),
+        Some("on") => Ok(Model::Waves),
+        Some(other) => Err(refused("diffraction", format!("{other:?}"), "\"off\", \"approximate\" or \"on\"")),
     }
 }
 
@@ -323,7 +337,8 @@ fn finite(scene: &Plane) -> Result<()> {
 /// texels_per_pixel : float, optional
 ///     Pixels of the photograph that one of the frame sees on the axis, in place of filling the frame.
 /// diffraction : str
-///     "on": kernels by diffraction (scalar waves); "off": of rays; "auto": by diffraction where a picture of rays would differ from it.
+///     "on": kernels by diffraction (scalar waves); "off": of rays; "approximate": of rays, convolved with the open pupil's diffraction; "auto": the first of off,
+///     approximate and on that differs little.
 /// illuminant : str
 ///     Light on the scene: "E", "A", "D50", "D55", "D65", "D75", "daylight:KELVIN", "black-body:KELVIN".
 /// plan : Plan, optional

@@ -75,6 +75,16 @@ def test_kernels(name, distance):
     check(lambda x: sums(at(x)), count, 1e-4, 1e-6)
 
 
+@pytest.mark.parametrize("model", ["approximate", "on"])
+def test_pictures_by_diffraction(model):
+    lens = iso.Lens("phone")
+    frame = iso.Frame(columns=SIDE, rows=SIDE, pitch_um=1.5)
+    layer = LensLayer(lens, frame, trainable=["surface[*].curvature"], diffraction=model, replan_every=0)
+    at, count = held(layer)
+    scenes = torch.tensor(smooth((1, 3, SIDE + 2 * MARGIN, SIDE + 2 * MARGIN), 5))
+    check(lambda x: sums(at(x, scenes, margin=MARGIN)[0]), count, 1e-3, 1e-4)
+
+
 def rays(name, distance, side=5):
     """Rays from a point off the axis, at a distance or without end, into the first vertex plane."""
     y, x = np.mgrid[-1 : 1 : side * 1j, -1 : 1 : side * 1j]

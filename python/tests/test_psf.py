@@ -69,6 +69,19 @@ def test_gradients_are_those_of_differences(name):
         assert apart < 1e-5 * abs(found)
 
 
+def test_gradients_of_kernels_by_diffraction_are_those_of_differences():
+    lens = iso.Lens("cooke_triplet")
+    psf = lens.psf(fields_deg=[0, 9], pitch_um=3, size=31, wavelengths_nm=[550], dtype=np.float64, diffraction=True)
+    rays = lens.psf(fields_deg=[0, 9], pitch_um=3, size=31, wavelengths_nm=[550], dtype=np.float64)
+    assert psf.kernels[0, 0].max() < 0.9 * rays.kernels[0, 0].max()
+    bar = np.cumsum(np.cumsum(np.random.default_rng(2).normal(size=psf.kernels.shape), -1), -2)
+    gradient = psf.vjp(bar)
+    along = direction(lens, gradient, 1)
+    ours = sum(gradient[name] * step for name, step in along.items())
+    found, _ = difference(lambda by: float((moved(lens, along, by).psf(like=psf).kernels * bar).sum()), 1e-3)
+    assert ours == pytest.approx(found, rel=1e-3)
+
+
 def test_one_number_stands_for_a_list_of_it():
     lens = iso.Lens("cooke_triplet")
     listed = lens.psf([10.0], [1000.0], size=9, wavelengths_nm=[550.0])

@@ -76,6 +76,7 @@ impl View {
             shift_mm: within("--shift-mm", self.shift_mm, 1e-6..=1e3, "1e-6 to 1000 mm")?,
             shifts: SHIFTS,
             whole: true,
+            energy: true,
             colour: false,
             psf_depths_mm: Vec::new(),
             memory: crate::memory::limit(),
@@ -116,8 +117,8 @@ struct Shown<'a> {
 /// Runs the command; figures go to `out`.
 pub(crate) fn run(kind: Kind, args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     crate::output::check_all(&[args.svg.as_deref(), args.csv.as_deref(), args.npz.as_deref()], args.common.force)?;
-    // Spots and distortion need no waves.
-    let options = Options { whole: kind == Kind::Mtf, ..args.view.options()? };
+    // Spots need no maps and no MTF by diffraction, distortion no waves at all.
+    let options = Options { whole: kind == Kind::Mtf, energy: kind == Kind::Spot, ..args.view.options()? };
     let lens = args.view.lens(&args.lens)?;
     let waiting = crate::progress::Waiting::new(kind.name());
     let (overview, missing) = look(&lens, &options);

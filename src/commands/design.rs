@@ -254,7 +254,7 @@ fn run_to_end(mut designing: Designing, options: RunOptions<'_>, out: &mut dyn W
             let scenery = Scenery { textures, sensor: &sensor, frame, seed: 77 };
             let guided = (&joint.network, &joint.guide);
             let pictures = &designing.task().pictures;
-            let fineness = Settings { diffraction: pictures.diffraction.is_on(), ..Settings::TRAINING };
+            let fineness = Settings { diffraction: pictures.diffraction.stated(), ..Settings::TRAINING };
             Some(validate(&scenery, &joint.lens, guided, pictures.patch_px, 48, fineness)?)
         }
         None => None,

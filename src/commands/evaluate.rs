@@ -16,6 +16,7 @@ use isoplanat::imaging::scene::photos::Photos;
 use isoplanat::imaging::scene::{SceneKind, TRAINING};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::network::Reconstructor;
+use isoplanat::psf::Model;
 use isoplanat::report::comparison::EdgesAt;
 use isoplanat::report::evaluation::Evaluation;
 use isoplanat::report::measured::Settings as EdgeSettings;
@@ -99,6 +100,9 @@ pub(crate) struct Protocol {
     /// Captures by rays from the sensor, so many a pixel, in place of the fast renderer: the judge of both.
     #[arg(long, value_name = "RAYS", value_parser = clap::value_parser!(u32).range(2..=65536))]
     reference: Option<u32>,
+    /// Captures of rays (off), by diffraction (on), or of rays convolved with the open pupil's diffraction (approximate) [default: as the run's task says].
+    #[arg(long, value_name = "HOW", value_parser = model, conflicts_with = "reference")]
+    diffraction: Option<Model>,
     /// Texels of a picture that a pixel sees at a patch's centre; 1: a pixel of the photograph is one of the sensor.
     #[arg(long, default_value_t = TEXELS_PER_PIXEL, value_name = "N")]
     texels_per_pixel: f64,
@@ -126,7 +130,7 @@ impl Protocol {
             [] => vec![1.0 / subject.vergence()],
             depths => depths.to_vec(),
         };
-        Settings {
+        let mut settings = Settings {
             fields: self.fields,
             to_deg: self.to_degrees,
             means_deg: self.means_degrees.clone(),
@@ -138,7 +142,9 @@ impl Protocol {
             texels: self.texels_per_pixel,
             through: None,
         }
-        .of_pictures(&task.pictures)
+        .of_pictures(&task.pictures);
+        settings.fineness.diffraction = self.diffraction.unwrap_or(settings.fineness.diffraction);
+        settings
     }
 
     /// In words, by name and value.
@@ -147,9 +153,15 @@ impl Protocol {
             || format!("{} of equal width in image height", self.fields),
             |d| format!("{} of equal steps of half field angle to {d} degrees", self.fields),
         );
-        let captures = self
-            .reference
-            .map_or_else(|| "fast renderer, evaluation fineness".to_owned(), |n| format!("{n} rays a pixel"));
+        let captures = match (self.reference, self.diffraction) {
+            (Some(n), _) => format!("{n} rays a pixel"),
+            (None, None) => "fast renderer, evaluation fineness".to_owned(),
+            (None, Some(Model::Rays)) => "fast renderer, evaluation fineness, of rays".to_owned(),
+            (None, Some(Model::Approximate)) => {
+                "fast renderer, evaluation fineness, with the open pupil's diffraction".to_owned()
+            }
+            (None, Some(Model::Waves)) => "fast renderer, evaluation fineness, by diffraction".to_owned(),
+        };
         let pictures = self.photos.as_ref().map_or_else(
             || format!("{SCENES} built-in {} scenes", self.scene.name()),
             |p| format!("photographs of {}", p.file_name().unwrap_or_default().to_string_lossy()),
@@ -164,6 +176,16 @@ impl Protocol {
         ]
         .map(|(a, b)| [a.to_owned(), b])
         .to_vec()
+    }
+}
+
+/// By what kernels of captures are made.
+fn model(text: &str) -> std::result::Result<Model, String> {
+    match text {
+        "off" => Ok(Model::Rays),
+        "approximate" => Ok(Model::Approximate),
+        "on" => Ok(Model::Waves),
+        _ => Err("off, approximate, on".to_owned()),
     }
 }
 

@@ -87,10 +87,11 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         write_png8(Target::new(path, args.common.force), &atlas::picture(&colours, columns, atlas::Style::default()))?;
     }
     let rows = rows(&kernels);
+    let names = if kernels.energy.is_some() { &COLUMNS[..] } else { &COLUMNS[..OF_RAYS] };
     if let Some(path) = &args.csv {
-        let mut table = Table::new(COLUMNS);
+        let mut table = Table::new(names.iter().copied());
         for row in &rows {
-            table.row(row.map(|v| v.to_string()));
+            table.row(row.iter().map(f64::to_string));
         }
         crate::output::put(&table.csv(), Some(path), args.common.force, out)?;
     }
@@ -99,8 +100,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let drawn = if args.png.is_some() { 4 * atlas::bytes(count, 3, size) } else { 0 };
     let bytes = atlas::bytes(count, nm, size).saturating_add(drawn).saturating_add(kernels.making);
     if args.common.json {
-        let named = |row: &[f64; 5]| {
-            COLUMNS.map(String::from).into_iter().zip(row.map(Value::from)).collect::<serde_json::Map<_, _>>()
+        let named = |row: &Vec<f64>| {
+            let pairs = names.iter().zip(row).map(|(name, v)| ((*name).to_owned(), Value::from(*v)));
+            pairs.collect::<serde_json::Map<_, _>>()
         };
         let value = json!({ "schema": 1, "size_px": size, "pitch_um": request.pitch_mm * 1e3,
             "wavelength_nm": request.wavelength_nm, "weight": request.weights, "memory_bytes": bytes, "diffraction": kernels.diffraction.as_ref().map(told_json),
@@ -108,15 +110,18 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         writeln!(out, "{value}")?;
         return Ok(());
     }
-    let mut table = Table::new(["depth/mm", "field/deg", "sensor radius/mm", "relative illumination", "outside/%"]);
-    for [depth, angle, radius, light, lost] in rows {
-        table.row([
-            significant(depth, 6),
-            format!("{angle:.3}"),
-            format!("{radius:.4}"),
-            format!("{light:.4}"),
-            format!("{:.3}", 100.0 * lost),
-        ]);
+    let mut table = Table::new(SHOWN.iter().take(names.len()).copied());
+    let dash = |v: f64, text: String| if v.is_finite() { text } else { "–".to_owned() };
+    for row in &rows {
+        let cell = |(k, v): (usize, &f64)| match k {
+            0 => significant(*v, 6),
+            1 => format!("{v:.3}"),
+            4 => format!("{:.3}", 100.0 * v),
+            5 => dash(*v, format!("{v:.4}")),
+            6.. => dash(*v, significant(1e3 * v, 4)),
+            _ => format!("{v:.4}"),
+        };
+        table.row(row.iter().enumerate().map(cell));
     }
     write!(out, "{table}")?;
     writeln!(out, "{size} × {size} pixels of {} µm, {nm} wavelengths", significant(request.pitch_mm * 1e3, 6))?;
@@ -130,13 +135,16 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
 /// What is told of kernels by diffraction.
 fn told(figures: &WaveFigures) -> String {
     let WaveFigures { residual_waves, spread, aperture, geometric } = figures;
+    let of_rays = "their blur has hundreds of waves, or their pixels are hundreds of λ/NA wide";
+    if *aperture == 0.0 {
+        return format!("by diffraction: all kernels are of rays, since {of_rays}");
+    }
     let mut text = format!(
         "by diffraction: paths to {residual_waves:.0e} wavelengths; {:.2} % of the light, far from the middle, is spread evenly",
         100.0 * spread
     );
     if *geometric > 0 {
-        let _ =
-            write!(text, "; {geometric} kernels of a wavelength are of rays, since their blur has hundreds of waves");
+        let _ = write!(text, "; {geometric} kernels of a wavelength are of rays, since {of_rays}");
     }
     if *aperture > SCALAR {
         let _ = write!(text, "; the angles at the image reach a sine of {aperture:.2}, where scalar waves err");
@@ -146,21 +154,39 @@ fn told(figures: &WaveFigures) -> String {
 
 fn told_json(figures: &WaveFigures) -> Value {
     let WaveFigures { residual_waves, spread, aperture, geometric } = figures;
-    json!({ "residual_waves": residual_waves, "spread": spread, "largest_sine": aperture, "of_rays": geometric })
+    // Nothing is known of waves where all kernels are of rays.
+    let known = |v: &f64| (*aperture > 0.0).then_some(*v);
+    json!({ "residual_waves": known(residual_waves), "spread": known(spread), "largest_sine": known(aperture), "of_rays": geometric })
 }
 
 /// Sine of an angle at the image beyond which scalar theory is told to err.
 const SCALAR: f64 = 0.5;
 
-/// Columns of the summary. The illumination is over all wavelengths by their weights; what falls outside is the most of any.
-const COLUMNS: [&str; 5] = ["depth_mm", "field_angle_deg", "sensor_radius_mm", "relative_illumination", "outside"];
+/// Columns of the summary, and how many there are of rays. The illumination is over all wavelengths by their weights; what falls outside is the most of any. By diffraction there are
+/// the Strehl ratio and radii about the centroid that hold 50 and 80 % of the light, before pixels, all wavelengths by weight and light.
+const COLUMNS: [&str; 8] = [
+    "depth_mm",
+    "field_angle_deg",
+    "sensor_radius_mm",
+    "relative_illumination",
+    "outside",
+    "strehl",
+    "encircled_50_mm",
+    "encircled_80_mm",
+];
+const OF_RAYS: usize = 5;
+/// The same as people read them.
+const SHOWN: [&str; 8] =
+    ["depth/mm", "field/deg", "sensor radius/mm", "relative illumination", "outside/%", "Strehl", "50 %/µm", "80 %/µm"];
 
 /// Rows of the summary.
-fn rows(set: &atlas::KernelSet) -> Vec<[f64; 5]> {
+fn rows(set: &atlas::KernelSet) -> Vec<Vec<f64>> {
     let light = set.polychromatic_illumination();
     let row = |((d, f), light): ((usize, usize), &f64)| {
         let lost = set.outside.slice(ndarray::s![d, f, ..]).fold(0.0, |m: f64, x| m.max(*x));
-        [set.request.depth_mm[d], set.angle_deg[[d, f]], set.radius_mm[[d, f]], *light, lost]
+        let mut row = vec![set.request.depth_mm[d], set.angle_deg[[d, f]], set.radius_mm[[d, f]], *light, lost];
+        row.extend(set.energy.iter().flat_map(|(strehl, radii)| [strehl[[d, f]], radii[[d, f, 0]], radii[[d, f, 1]]]));
+        row
     };
     light.indexed_iter().map(row).collect()
 }

@@ -47,7 +47,9 @@ enum Bending {
     Off,
     /// Kernels by diffraction.
     On,
-    /// By diffraction where it shows: where rays would use up a tenth of the error that is allowed.
+    /// Kernels of rays, convolved with the diffraction of the open pupil.
+    Approximate,
+    /// The first of off, approximate and on that uses up at most a tenth of the error that is allowed.
     Auto,
 }
 
@@ -75,7 +77,7 @@ pub(crate) struct Args {
     /// Leave nothing out and make everything fine (psf-grid); for comparison.
     #[arg(long, conflicts_with = "min_psnr_db")]
     everything: bool,
-    /// Kernels by diffraction (scalar waves), of rays, or by diffraction where a picture of rays would differ from it (psf-grid).
+    /// Kernels by diffraction (scalar waves), of rays, of rays convolved with the open pupil's diffraction, or the cheapest of them that differs little (psf-grid).
     #[arg(long, value_enum, default_value = "auto")]
     diffraction: Bending,
     /// Say what this scene did not need: reason, work that remains, error bound (psf-grid).
@@ -136,6 +138,7 @@ impl Args {
         let diffraction = match self.diffraction {
             Bending::Off => Diffraction::Off,
             Bending::On => Diffraction::On,
+            Bending::Approximate => Diffraction::Approximate,
             Bending::Auto => Diffraction::Auto,
         };
         PlanOptions { explain: self.explain, diffraction }

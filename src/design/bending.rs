@@ -6,9 +6,10 @@ use super::places::Places;
 use super::task::Task;
 use isoplanat_base::error::Result;
 use isoplanat_imaging::plane::Plane;
-use isoplanat_imaging::render::{Diffraction, Renderer, Settings, frame_of, needs_diffraction};
+use isoplanat_imaging::render::{Diffraction, Renderer, Settings, enough_diffraction, frame_of};
 use isoplanat_imaging::sensor::spectrum::SpectralDensity;
 use isoplanat_optics::lens::Lens;
+use isoplanat_optics::psf::Model;
 
 /// Peak signal-to-noise ratio that pictures of rays are to hold, dB: that of a promise where nothing is asked.
 const HELD_DB: f64 = 45.0;
@@ -28,12 +29,15 @@ pub(super) fn settled(task: &Task, lens: &Lens, textures: &Textures, depths_mm: 
     }
     let renderer = Renderer::planned(lens, &frame, &density, &vergences, Settings::DESIGN)?;
     let places = Places::new(&frame, task.pictures.patch_px.min(JUDGED.1), task.pictures.spread);
+    let mut enough = Diffraction::Off;
     for map in &renderer.optics.maps {
         let drawn = |i| textures.numbered((task.seed ^ 0x6265_6e74, i), &places, &frame, map, 0).scene;
         let scenes: Vec<Plane> = (0..JUDGED.0 as u64).map(drawn).collect();
-        if needs_diffraction(lens, &scenes, &frame, &density, HELD_DB)? {
-            return Ok(Diffraction::On);
+        match enough_diffraction(lens, &scenes, &frame, &density, HELD_DB)? {
+            Model::Rays => {}
+            Model::Approximate => enough = Diffraction::Approximate,
+            Model::Waves => return Ok(Diffraction::On),
         }
     }
-    Ok(Diffraction::Off)
+    Ok(enough)
 }

@@ -44,7 +44,7 @@ use isoplanat_imaging::sensor::Sensor;
 use isoplanat_imaging::sensor::noise::mixed;
 use isoplanat_imaging::sensor::spectrum::SpectralDensity;
 use isoplanat_network::Reconstructor;
-use isoplanat_optics::psf::SensorMap;
+use isoplanat_optics::psf::{Model, SensorMap};
 use zones::Zone;
 
 pub use draws::Built;
@@ -82,7 +82,7 @@ pub const FINENESS: Fineness = Fineness {
     node_error: 0.05,
     outside: 1e-3,
     cells: 64,
-    diffraction: false,
+    diffraction: Model::Rays,
 };
 
 /// What is photographed.
@@ -177,7 +177,7 @@ impl Settings {
     #[doc(hidden)]
     #[must_use]
     pub fn of_pictures(mut self, pictures: &PictureTask) -> Self {
-        self.fineness.diffraction = pictures.diffraction.is_on();
+        self.fineness.diffraction = pictures.diffraction.stated();
         self
     }
 }

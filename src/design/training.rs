@@ -511,7 +511,7 @@ impl Parts {
             region_px: train.pairs.region_px,
             count: train.pairs.count,
             budget: train.pairs.cache_mib << 20,
-            diffraction: task.pictures.diffraction.is_on(),
+            diffraction: task.pictures.diffraction.stated(),
             vergences,
         };
         let pairs = Pairs::new(subject, &density, settings)?;

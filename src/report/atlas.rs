@@ -39,6 +39,9 @@ pub struct KernelSet {
     pub angle_deg: Array2<f64>,
     /// What is to be told of kernels by diffraction; nothing of rays.
     pub diffraction: Option<WaveFigures>,
+    /// By diffraction, all wavelengths by weight and light, before pixels: the Strehl ratio, `[depth, field]`, and radii about the centroid that hold 50, 80 and 95 % of the
+    /// light, `[depth, field, 3]`, mm. Not numbers where blur has hundreds of waves.
+    pub energy: Option<(Array2<f64>, Array3<f64>)>,
     /// Bytes, from above, that making the kernels took beside them.
     #[doc(hidden)]
     pub making: u64,
@@ -83,6 +86,11 @@ impl KernelSet {
             slope: Array2::zeros((depths, fields)),
             angle_deg: Array2::zeros((depths, fields)),
             diffraction,
+            energy: plan.energies(&request.weights).map(|all| {
+                let of = |d: usize, f: usize| all[d * fields + f];
+                let strehl = Array2::from_shape_fn((depths, fields), |(d, f)| of(d, f).0);
+                (strehl, Array3::from_shape_fn((depths, fields, 3), |(d, f, k)| of(d, f).1[k]))
+            }),
             making,
         };
         for (d, line) in plan.lines.iter().enumerate() {
@@ -102,7 +110,8 @@ impl KernelSet {
     }
 
     /// Writes every array under its name, as `isoplanat psf` does: `kernels`, `relative_illumination`, `outside`, `sensor_point_mm`, `sensor_radius_mm`,
-    /// `object_slope`, `field_angle_deg`, `polychromatic`, `depth_mm`, `wavelength_nm`, `weight`, `pitch_mm`, `diffraction` (1 or 0), `schema`.
+    /// `object_slope`, `field_angle_deg`, `polychromatic`, `depth_mm`, `wavelength_nm`, `weight`, `pitch_mm`, `diffraction` (1 or 0), `schema`; by diffraction also `strehl`
+    /// and `encircled_50_80_95_mm`.
     ///
     /// # Errors
     /// A file that cannot be written.
@@ -130,6 +139,10 @@ impl KernelSet {
                 [("depth_mm", &meta.depth_mm), ("wavelength_nm", &meta.wavelength_nm), ("weight", &meta.weights)];
             for (name, values) in lists {
                 npz.add_array(name, &ArrayView1::from(values))?;
+            }
+            if let Some((strehl, radii)) = &self.energy {
+                npz.add_array("strehl", strehl)?;
+                npz.add_array("encircled_50_80_95_mm", radii)?;
             }
             npz.add_array("pitch_mm", &ndarray::arr0(meta.pitch_mm))?;
             npz.add_array("diffraction", &ndarray::arr0(i64::from(self.diffraction.is_some())))?;

@@ -10,8 +10,8 @@ use isoplanat_optics::lens::{Lens, LensGradient};
 use isoplanat_optics::psf::bent::WaveFigures;
 use isoplanat_optics::psf::splat::phase_of_vjp;
 use isoplanat_optics::psf::table::Tolerance;
-use isoplanat_optics::psf::wave::Waves;
-use isoplanat_optics::psf::{KernelForm, Optics, OpticsBar, OpticsSpec, Quadrature, SensorPoint};
+use isoplanat_optics::psf::wave::{PointSpread, Untold};
+use isoplanat_optics::psf::{KernelForm, Model, Optics, OpticsBar, OpticsSpec, Quadrature, SensorPoint};
 
 /// Share of the light that an automatic window may lose.
 const LOST: f64 = 1e-3;
@@ -79,8 +79,6 @@ pub struct KernelPlan {
     pub lines: Vec<FieldLine>,
     /// How kernels are made: size, rays, channels.
     pub form: KernelForm,
-    /// The lens for kernels by diffraction, where those were asked for.
-    waves: Option<Waves>,
     /// Bytes, from above, of what is needed beside the kernels while they are made.
     making: u64,
 }
@@ -123,22 +121,19 @@ impl KernelPlan {
         let tolerance = Tolerance { landing_mm: LANDING_ERROR_PX * request.pitch_mm, weight: 1e-4 };
         let spec = OpticsSpec::even(far.max(1e-3), vergences, quadrature);
         let optics = Optics::adapted(lens, spec, tolerance)?.0;
-        let waves = request.diffraction.then(|| Waves::new(lens, &optics)).transpose()?;
+        let optics = if request.diffraction { optics.diffracting(lens, Model::Waves)? } else { optics };
         let size = match request.size {
             Some(size) => size,
-            None => automatic(lens, &optics, waves.as_ref(), request, &lines)?,
+            None => automatic(lens, &optics, request, &lines)?,
         };
         let window = (size, request.pitch_mm);
-        let making = waves.iter().flat_map(|w| {
-            let of = |(depth, line): (usize, &FieldLine)| w.bytes(&optics, depth, &points(line), window);
-            lines.iter().enumerate().map(of).collect::<Vec<u64>>()
-        });
-        let making = making.max().unwrap_or(0);
+        let making = |(depth, line): (usize, &FieldLine)| optics.bending_bytes_at(depth, &points(line), window);
+        let making = lines.iter().enumerate().map(making).max().unwrap_or(0).max(optics.point_spread_bytes());
         let (count, instead) = (lines.len() * fields, "fewer depths, fields or wavelengths, or a smaller --size");
         let bytes = bytes(count, optics.channels(), size).saturating_add(making);
         request.memory.allow(&format!("{count} kernels of {size} × {size}"), bytes, instead)?;
         let form = optics.form(request.rays, size, 1, request.pitch_mm);
-        Ok(Self { optics, lines, form, waves, making })
+        Ok(Self { optics, lines, form, making })
     }
 
     /// Traces `lens`, which has moved since this plan was made: radii, places on the sensor and window stay.
@@ -146,15 +141,7 @@ impl KernelPlan {
     /// # Errors
     /// As [`Optics::compute`].
     pub fn again(&self, lens: &Lens) -> Result<Self> {
-        let optics = Optics::compute(lens, &self.optics.spec)?;
-        let waves = self.waves.as_ref().map(|_| Waves::new(lens, &optics)).transpose()?;
-        Ok(Self { optics, waves, ..self.clone() })
-    }
-
-    /// Whether kernels are made by diffraction.
-    #[doc(hidden)]
-    pub fn is_by_diffraction(&self) -> bool {
-        self.waves.is_some()
+        Ok(Self { optics: Optics::compute(lens, &self.optics.spec)?, ..self.clone() })
     }
 
     /// Places of each depth.
@@ -176,29 +163,36 @@ impl KernelPlan {
         let single = |_: usize, kernel: &[f64], outside: &[f64]| {
             (kernel.iter().map(|v| T::real(*v)).collect::<Vec<T>>(), outside.to_vec())
         };
-        let mut diffraction = self.waves.as_ref().map(|_| WaveFigures::default());
-        let mut made: Vec<(Vec<T>, Vec<f64>)> = Vec::new();
+        let (mut made, mut diffraction) = (Vec::<(Vec<T>, Vec<f64>)>::new(), None::<WaveFigures>);
         for depth in 0..self.lines.len() {
-            let points = self.points(depth);
-            made.extend(match &self.waves {
-                None => self.optics.kernels_each(&self.form, depth, &points, single),
-                Some(waves) => {
-                    let (made, figures) = waves.kernels_each(&self.optics, &self.form, depth, &points, single);
-                    diffraction = diffraction.map(|before| before.or(figures));
-                    made
-                }
-            });
+            let (of_depth, told) = self.optics.kernels_told_each(&self.form, depth, &self.points(depth), single);
+            made.extend(of_depth);
+            diffraction = told.map(|told| diffraction.take().unwrap_or_default().or(told));
         }
         let (kernels, outside): (Vec<Vec<T>>, Vec<Vec<f64>>) = made.into_iter().unzip();
         PlacedKernels { kernels: kernels.concat(), outside, diffraction, making: self.making }
     }
 
+    /// Strehl ratio and radii about the centroid that hold 50, 80 and 95 % of the light, mm, by depth and field, the plan's wavelengths by `weights` and light; not numbers where
+    /// they are not told. Nothing where kernels are of rays.
+    #[doc(hidden)]
+    pub fn energies(&self, weights: &[f64]) -> Option<Vec<(f64, [f64; 3])>> {
+        if !self.optics.spec.diffraction.diffracts() {
+            return None;
+        }
+        let read = |found: std::result::Result<PointSpread, Untold>| match found {
+            Ok(p) => (p.strehl(), [0.5, 0.8, 0.95].map(|part| p.radius_of(part).unwrap_or(f64::NAN))),
+            Err(_) => (f64::NAN, [f64::NAN; 3]),
+        };
+        let of = |depth: usize| self.optics.point_spreads(depth, &self.points(depth), weights);
+        Some((0..self.lines.len()).flat_map(of).map(read).collect())
+    }
+
     /// Pulls a cotangent on [`Self::kernels`], `[depth, field, channel, row, col]`, back to the lens that was traced; places on the sensor are held.
     ///
     /// # Panics
-    /// Of another shape, or of kernels by diffraction, which have no pull-back yet.
+    /// Of another shape.
     pub fn vjp<T: Real>(&self, lens: &Lens, kernels_bar: ArrayView5<'_, T>) -> LensGradient {
-        assert!(self.waves.is_none(), "kernels by diffraction have no pull-back yet");
         let mut bar = OpticsBar::zeros(&self.optics);
         let raster = self.form.raster;
         for depth in 0..self.lines.len() {
@@ -221,25 +215,19 @@ fn points(line: &FieldLine) -> Vec<SensorPoint> {
     line.radius_mm.iter().map(|r| SensorPoint::along([0.0, -1.0], *r)).collect()
 }
 
-/// The window that holds 99.9 % of the light of rays everywhere, pixels; by diffraction with what [`Waves::bending_mm`] adds at each side.
-fn automatic(
-    lens: &Lens,
-    optics: &Optics,
-    waves: Option<&Waves>,
-    request: &KernelRequest,
-    lines: &[FieldLine],
-) -> Result<usize> {
+/// The window that holds 99.9 % of the light of rays everywhere, pixels; by diffraction with what [`Optics::bending_mm_at`] adds at each side.
+fn automatic(lens: &Lens, optics: &Optics, request: &KernelRequest, lines: &[FieldLine]) -> Result<usize> {
     let far = lines.iter().flat_map(|l| &l.radius_mm).copied().fold(0.0, f64::max);
     let look = optics.form(request.rays.min(4000), 1, 1, request.pitch_mm);
     let of = |(depth, line): (usize, &FieldLine)| {
-        let bent_mm = waves.map_or(0.0, |w| w.bending_mm(optics, depth, &points(line)));
+        let bent_mm = optics.bending_mm_at(depth, &points(line));
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "saturates")]
         let bent = (bent_mm / request.pitch_mm).ceil() as usize;
         optics.half_widths(&look, depth, &[LOST], [0.0, far])[0].saturating_add(bent)
     };
     let half = lines.iter().enumerate().map(of).max().unwrap_or(1).min(usize::MAX / 4);
     if 2 * half + 1 > LARGEST {
-        let share = if waves.is_some() { "99 %" } else { "99.9 %" };
+        let share = if request.diffraction { "99 %" } else { "99.9 %" };
         let found = format!("{} pixels to hold {share} of the light", 2 * half + 1);
         return Err(Error::bad(lens.file(), "kernel size", found, format!("state a size; automatic up to {LARGEST}")));
     }

@@ -52,6 +52,8 @@ pub struct Options {
     pub shifts: u32,
     /// Whether all of it is made: without, neither kernels nor what waves do.
     pub whole: bool,
+    /// Whether Strehl ratio and encircled energy are made by diffraction, too.
+    pub energy: bool,
     /// Whether kernels are drawn in the colours of the generic sensor: where its band is covered by the lens's media.
     pub colour: bool,
     /// Object distances at which kernels are drawn, mm, a row each; empty: the lens's own.
@@ -64,6 +66,8 @@ pub struct Options {
 pub const SHIFTS: u32 = 6;
 /// Rays of a kernel.
 const KERNEL_RAYS: usize = 8192;
+/// What may be left open of paths without a word, wavelengths: a percent of a Strehl ratio.
+const TOLD: f64 = 0.016;
 /// What may be missing of the light somewhere without a word.
 const LOST: f64 = 0.01;
 /// Radii at which the irradiance is computed, less one.
@@ -123,9 +127,16 @@ pub fn look(lens: &Lens, options: &Options) -> (Overview, Vec<String>) {
         cycles_per_mm: options.cycles_per_mm.unwrap_or(usual.cycles_per_mm),
         shift_mm: options.shift_mm,
         waves: usual.waves.filter(|_| options.whole),
+        energy: options.energy,
         ..usual
     };
     let overview = Overview::new(lens, settings);
+    // What no field has is said once.
+    let why = |f: &Field| f.diffracted.as_ref().and_then(|d| d.as_ref().err().cloned());
+    let same = overview.fields.len() > 1 && overview.fields.windows(2).all(|f| why(&f[0]) == why(&f[1]));
+    if let Some(why) = overview.fields.first().and_then(why).filter(|_| same) {
+        missing.push(format!("encircled energy by diffraction: {why}"));
+    }
     for f in &overview.fields {
         let angle = significant(f.angle_deg, 4);
         if let Some(failure) = f.failure {
@@ -134,6 +145,18 @@ pub fn look(lens: &Lens, options: &Options) -> (Overview, Vec<String>) {
         }
         if let (Some(Err(fault)), Some(_)) = (&f.diffraction, &f.spot) {
             missing.push(format!("MTF by diffraction at {angle}°: {fault}"));
+        }
+        match &f.diffracted {
+            Some(Err(why)) if f.spot.is_some() && !same => {
+                missing.push(format!("encircled energy by diffraction at {angle}°: {why}"));
+            }
+            Some(Ok(energy)) if energy.residual_waves > TOLD => {
+                let left = significant(energy.residual_waves, 1);
+                missing.push(format!(
+                    "encircled energy by diffraction at {angle}°: paths are told to {left} wavelengths only"
+                ));
+            }
+            _ => {}
         }
         if f.spot.is_none() {
             missing.push(format!("at {angle}° no light reaches the sensor"));
@@ -156,6 +179,8 @@ pub struct SpotRow {
     best_rms_mm: Option<f64>,
     open_part: f64,
     encircled_50_80_95_mm: Option<[f64; 3]>,
+    encircled_diffraction_50_80_95_mm: Option<[Option<f64>; 3]>,
+    strehl: Option<f64>,
     mtf_change: f64,
     mtf_diffraction_error: Option<f64>,
     mtf_diffraction_residual_waves: Option<f64>,
@@ -176,20 +201,29 @@ const SPOTS: [Column<SpotRow>; 11] = [
     Column::shown("open", |s| format!("{:.4}", s.open_part)),
 ];
 
+/// What waves make of it, beside [`SPOTS`].
+const WAVES: [Column<SpotRow>; 3] = [
+    Column::shown("50 % by diffraction/µm", |s| um(s.encircled_diffraction_50_80_95_mm.and_then(|e| e[0]))),
+    Column::shown("80 % by diffraction/µm", |s| um(s.encircled_diffraction_50_80_95_mm.and_then(|e| e[1]))),
+    Column::shown("Strehl", |s| s.strehl.map_or("–".to_owned(), |v| significant(v, 3))),
+];
+
 fn um(mm: Option<f64>) -> String {
     mm.map_or("–".to_owned(), |v| significant(1e3 * v, 4))
 }
 
 /// Spots by field as a table: image height, rms radius and its parts, largest radius, radii that hold 50 and 80 % of the light, the best focus and
-/// the rms there, the part of the stop's rays that arrives.
+/// the rms there, the part of the stop's rays that arrives; radii of 50 and 80 % by diffraction and the Strehl ratio where they were made.
 pub fn spot_table(o: &Overview) -> Table {
-    table(&SPOTS, &spot_rows(o))
+    let waves = if o.settings.energy { &WAVES[..] } else { &[] };
+    table(&[&SPOTS[..], waves].concat(), &spot_rows(o))
 }
 
 /// What every field shows.
 pub fn spot_rows(o: &Overview) -> Vec<SpotRow> {
     let row = |f: &Field| {
         let waves = f.diffraction.as_ref().and_then(|d| d.as_ref().ok());
+        let energy = f.diffracted.as_ref().and_then(|d| d.as_ref().ok());
         SpotRow {
             angle_deg: f.angle_deg,
             chief_height_mm: f.chief.map(|c| c.y),
@@ -202,6 +236,8 @@ pub fn spot_rows(o: &Overview) -> Vec<SpotRow> {
             best_rms_mm: f.best_rms,
             open_part: f.open_part,
             encircled_50_80_95_mm: f.energy,
+            encircled_diffraction_50_80_95_mm: energy.map(|e| e.radii),
+            strehl: energy.map(|e| e.strehl),
             mtf_change: f.mtf_change,
             mtf_diffraction_error: waves.map(sampling_error),
             mtf_diffraction_residual_waves: waves.map(|m| m.residual_waves),
@@ -282,7 +318,7 @@ impl LensReport {
         let seconds = vec![
             ("end of the field", end),
             ("spots, fans, geometric MTF", spots),
-            ("wavefronts, MTF by diffraction", waves),
+            ("wavefronts, MTF and energy by diffraction", waves),
             ("curves over field and zones", curves),
         ];
         let start = Instant::now();

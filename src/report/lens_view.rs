@@ -62,6 +62,7 @@ impl LensView {
             shift_mm: None,
             shifts: SHIFTS,
             whole: waves,
+            energy: false,
             colour: false,
             psf_depths_mm: Vec::new(),
             memory: isoplanat_base::math::memory::Limit::of_process(),

@@ -9,7 +9,7 @@ use isoplanat::imaging::render::{Renderer, Settings};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::{Aperture, Lens, LensGradient, Shape, builtin, variables::Variables};
-use isoplanat::psf::{Optics, OpticsBar, OpticsSpec, Quadrature, SensorPoint};
+use isoplanat::psf::{Model, Optics, OpticsBar, OpticsSpec, Quadrature, SensorPoint};
 use isoplanat::testing::{assert_rel, between, central_difference, steady_difference};
 use isoplanat::trace::intersect::{intersect, intersect_vjp};
 use isoplanat::trace::refract::{refract, refract_vjp};
@@ -159,8 +159,14 @@ fn what_is_read_from_the_optics_pulls_back_to_the_lens() {
     let quadrature =
         Quadrature { nm: vec![480.0, 600.0], weight: vec![vec![0.7, 0.3], vec![0.4, 0.6], vec![0.1, 0.9]] };
     let radii_mm = (0..=10).map(|i| frame.max_radius_mm() * f64::from(i) / 10.0).collect();
-    let spec =
-        OpticsSpec { radii_mm, vergences: vec![1e-3], quadrature, degree: 5, illuminations: 48, diffraction: false };
+    let spec = OpticsSpec {
+        radii_mm,
+        vergences: vec![1e-3],
+        quadrature,
+        degree: 5,
+        illuminations: 48,
+        diffraction: Model::Rays,
+    };
     let scene = Plane {
         texture: Array3::from_shape_fn((3, 300, 300), |(c, i, j)| {
             (0.3 + 0.02 * (c + i) as f32 * (0.05 * j as f32).sin()).abs()
@@ -203,13 +209,14 @@ fn what_is_read_from_the_optics_pulls_back_to_the_lens() {
 #[test]
 fn a_rendered_region_pulls_back_to_the_lens() {
     for (pitch_mm, off, samples, cells, bin, diffraction) in [
-        (0.02, 0.0, 1, 64, 1, false),
-        (0.02, 0.0, 2, 64, 1, false),
-        (0.02, 0.0, 1, 8, 2, false),
-        (0.004, 1500.0, 1, 64, 1, true),
+        (0.02, 0.0, 1, 64, 1, Model::Rays),
+        (0.02, 0.0, 2, 64, 1, Model::Rays),
+        (0.02, 0.0, 1, 8, 2, Model::Rays),
+        (0.004, 1500.0, 1, 64, 1, Model::Waves),
+        (0.004, 1500.0, 1, 64, 1, Model::Approximate),
     ] {
         let mut lens = builtin::lens("two_element").expect("shipped");
-        if diffraction {
+        if diffraction.diffracts() {
             lens = lens.changed(|l| l.aperture = Aperture::FNumber(8.0)).expect("closes");
         }
         let frame = Frame::centred(320, 220, pitch_mm).and_then(|f| f.with_axis([-off, -off])).expect("valid");

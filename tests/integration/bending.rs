@@ -8,6 +8,7 @@ use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::{Aperture, Lens, builtin};
+use isoplanat::psf::Model;
 use ndarray::Array3;
 
 #[cfg(feature = "train")]
@@ -53,13 +54,13 @@ fn pictures_by_diffraction_hold_their_promise() {
     {
         let (lens, frame, scene) = case(name, f_number, pitch_um, off_mm, street());
         let chosen = planned(&lens, &frame, &scene, Request::Psnr(45.0), Diffraction::Auto);
-        assert!(chosen.renderer.optics.spec.diffraction, "{name}: needed");
+        assert!(chosen.renderer.optics.spec.diffraction.diffracts(), "{name}: needed");
         let fine = Settings {
             node_error: 0.02,
             wavelengths: 12,
             samples: 2,
             outside: 1e-4,
-            diffraction: true,
+            diffraction: Model::Waves,
             ..Settings::FINE
         };
         let everything = planned(&lens, &frame, &scene, Request::Settings(fine), Diffraction::On);
@@ -98,7 +99,7 @@ fn what_pixels_hide_is_left_out() {
     let (lens, frame, scene) = case("two_element", None, 60.0, 2.0, generate(SceneKind::Mixed, 2, 64, 80));
     let auto = planned(&lens, &frame, &scene, Request::Psnr(40.0), Diffraction::Auto);
     let off = planned(&lens, &frame, &scene, Request::Psnr(40.0), Diffraction::Off);
-    assert!(!auto.renderer.optics.spec.diffraction);
+    assert_eq!(auto.renderer.optics.spec.diffraction, Model::Rays);
     let left = auto.skips.iter().find(|s| s.what == "diffraction").expect("told");
     assert!(left.bound > 0.0 && left.bound < 3.2e-3, "{}", left.bound);
     assert!(off.skips.iter().all(|s| s.what != "diffraction"), "what was asked for lacks nothing");
@@ -129,10 +130,19 @@ fn tasks_ask_their_scenes() {
     for (name, lens, pitch_um, needed) in [("fine", "phone", 1.1, true), ("large", "two_element", 60.0, false)] {
         place.write(&format!("{name}.toml"), task("\"auto\"", lens, pitch_um));
         let said = place.run(&format!("design {name}.toml -o {name}")).done();
-        assert_eq!(said.contains("by diffraction, "), needed, "{said}");
+        let told = ["by diffraction, ", "with the open pupil's diffraction, "];
+        assert_eq!(told.iter().any(|words| said.contains(words)), needed, "{said}");
         let own = std::fs::read_to_string(place.path(name).join("task.toml")).expect("written");
-        assert_eq!(own.contains("diffraction = true"), needed, "{own}");
+        assert_eq!(own.contains("diffraction = "), needed, "{own}");
         assert!(!own.contains("auto"), "{own}");
         place.run(&format!("design --resume -o {name}")).done();
     }
+    // In stages: the task of the run as a whole says it too, which is read where one goes on.
+    let stages = "[[stages]]\n[stages.budget]\nsteps = 1\n[[stages]]\n[stages.budget]\nsteps = 1\n";
+    place.write("stages.toml", task("\"auto\"", "phone", 1.1) + stages);
+    place.run("design stages.toml -o stages").done();
+    let own = std::fs::read_to_string(place.path("stages").join("task.toml")).expect("written");
+    assert!(own.contains("diffraction = ") && !own.contains("auto"), "{own}");
+    let said = place.run("design --resume -o stages").done();
+    assert!(!said.contains("of rays"), "{said}");
 }

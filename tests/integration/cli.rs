@@ -113,6 +113,9 @@ fn displaced_and_freeform_surfaces_are_traced_and_not_imaged() {
         let ran = place.run(command);
         assert!(ran.code == 2 && ran.err.contains("rotationally symmetric"), "{command}: {}", ran.err);
     }
+    // Spots are of rays alone, and that is told once.
+    let spots = place.run("spot lens.toml");
+    assert!(spots.code == 0 && spots.err.matches("encircled energy by diffraction").count() == 1, "{}", spots.err);
     for (from, to, said) in [
         ("x1y2", "x9y9", "x9y9"),
         ("a3", "a41", "a41"),

@@ -143,3 +143,43 @@ fn kernels_by_diffraction_are_wider_and_count_their_light() {
     let text = place.run("psf double_gauss -o b.npz --depth-mm 50 --fields 1 --size 9 --rays 500 --diffraction").done();
     assert!(text.contains("of rays, since their blur has hundreds of waves"), "{text}");
 }
+
+/// Strehl ratios and radii of the light by diffraction: the same in table, values and arrays of `psf`, and in `spot`, whose wavelengths are those of the lens.
+#[test]
+fn energy_by_diffraction_is_told_alike() {
+    let place = Workplace::new();
+    let said = place.run(
+        "psf cooke_triplet -o e.npz --csv e.csv --f-number 11 --fields 3 --size 21 --rays 500 --diffraction --json",
+    );
+    let json: Value = serde_json::from_str(&said.done()).expect("JSON");
+    let mut npz = Archive::open(&place, "e.npz");
+    let (strehl, radii): (Array2<f64>, Array3<f64>) = (npz.get("strehl"), npz.get("encircled_50_80_95_mm"));
+    assert_eq!((strehl.dim(), radii.dim()), ((1, 3), (1, 3, 3)));
+    let csv = std::fs::read_to_string(place.path("e.csv")).expect("values");
+    assert!(csv.lines().next().is_some_and(|l| l.ends_with("outside,strehl,encircled_50_mm,encircled_80_mm")), "{csv}");
+    let number = |v: &Value| v.as_f64().expect("a number");
+    for (field, row) in json["rows"].as_array().expect("rows").iter().enumerate() {
+        let of = [strehl[[0, field]], radii[[0, field, 0]], radii[[0, field, 1]]];
+        let told = ["strehl", "encircled_50_mm", "encircled_80_mm"].map(|k| number(&row[k]));
+        assert!(told.iter().zip(&of).all(|(a, b)| (a / b - 1.0).abs() < 1e-12), "{told:?} {of:?}");
+        assert!(of[0] > 0.0 && of[0] < 1.0 && of[1] > 0.0 && of[1] < of[2] && of[2] < radii[[0, field, 2]], "{of:?}");
+    }
+    let angle = number(&json["rows"][2]["field_angle_deg"]);
+    let said = place.run(&format!("spot cooke_triplet --f-number 11 --max-angle-deg {angle} --json"));
+    let spot: Value = serde_json::from_str(&said.done()).expect("JSON");
+    let fields = spot["fields"].as_array().expect("fields");
+    for (field, shown) in [(0, &fields[0]), (2, &fields[4])] {
+        let found = [number(&shown["strehl"]), number(&shown["encircled_diffraction_50_80_95_mm"][1])];
+        let expected = [strehl[[0, field]], radii[[0, field, 1]]];
+        assert!(found.iter().zip(&expected).all(|(a, b)| (a / b - 1.0).abs() < 1e-3), "{found:?} {expected:?}");
+    }
+    let series = spot["plots"]["encircled_energy"]["series"].as_array().expect("curves");
+    assert_eq!((series.len(), series[1]["name"].as_str()), (10, Some("0° by diffraction")));
+    assert!(place.run("spot cooke_triplet").done().contains("80 % by diffraction/µm"));
+    // Of rays alone there is neither, and where nothing is followed it is said why.
+    let rays = place.run("psf cooke_triplet -o r.npz --fields 2 --size 21 --rays 500 --json").done();
+    assert!(!rays.contains("strehl"), "{rays}");
+    let far = place.run("spot double_gauss --depth-mm 50");
+    assert!(far.code == 0 && far.err.contains("encircled energy by diffraction"), "{}", far.err);
+    assert!(far.err.contains("hundreds of waves") && far.out.contains('–'), "{} {}", far.err, far.out);
+}

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use glam::{DVec2, DVec3};
 use isoplanat::lens::{Aperture, Lens, LensGradient, builtin, paraxial::first_order, unchecked};
-use isoplanat::psf::{Optics, OpticsBar, OpticsSpec, Quadrature, SensorPoint};
+use isoplanat::psf::{Model, Optics, OpticsBar, OpticsSpec, Quadrature, SensorPoint};
 use isoplanat::report::field::FieldLine;
 use isoplanat::testing::{assert_rel, central_difference};
 use isoplanat::trace::aim::{Aimer, SensorView};
@@ -23,7 +23,7 @@ fn optics(lens: &Lens, radius_mm: f64) -> Optics {
         quadrature: Quadrature { nm: vec![NM], weight: vec![vec![1.0]] },
         degree: 9,
         illuminations: 1,
-        diffraction: false,
+        diffraction: Model::Rays,
     };
     Optics::compute(lens, &spec).expect("traces")
 }

@@ -71,7 +71,7 @@ pub use needs::Channels;
 pub use plan::{RenderPlan, Settings, frame_of};
 pub use planning::{PlanOptions, plan};
 #[doc(hidden)]
-pub use planning::{lacking, needs_diffraction};
+pub use planning::{enough_diffraction, lacking};
 pub use psf_map::{PsfMap, PsfMapRequest, PsfPlaces};
 pub use renderer::{Rendered, Renderer};
 #[doc(hidden)]

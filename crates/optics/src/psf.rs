@@ -8,6 +8,7 @@
 
 #[doc(hidden)]
 pub mod bent;
+mod convolved;
 #[doc(hidden)]
 pub mod corner;
 mod fit;
@@ -17,6 +18,7 @@ pub mod illumination;
 pub mod kernel;
 pub mod measured;
 mod meridian;
+mod model;
 pub mod optics;
 mod point;
 mod rays;
@@ -31,6 +33,8 @@ pub mod table;
 pub mod wave;
 
 pub use kernel::KernelForm;
+#[doc(hidden)]
+pub use model::Model;
 pub use optics::{Optics, OpticsBar, OpticsSpec, Quadrature};
 pub use point::SensorPoint;
 pub use sensor_map::SensorMap;

@@ -116,6 +116,7 @@ class Layer:
         trainable: str | Sequence[str],
         illuminant: str | None,
         settings: str | None = None,
+        diffraction: str | None = None,
     ) -> Layer: ...
     @property
     def names(self) -> list[str]: ...

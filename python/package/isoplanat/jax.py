@@ -32,6 +32,8 @@ class LensFunction(Placed):
         Names or patterns of the lens's numbers, such as "surface[*].curvature".
     illuminant : str, optional
         As of `isoplanat.render`.
+    diffraction : "off", "approximate" or "on"
+        Kernels of rays; of rays, convolved with the open pupil's diffraction; of scalar waves.
     held : bool
         Whether scenes stay where they were laid out, as differences and line searches ask for. They are placed before the lens as it is at every call otherwise, as
         ``isoplanat design`` places them; the gradient is that of scenes that stay.
@@ -54,11 +56,12 @@ class LensFunction(Placed):
         distances_mm: float | Sequence[float] | None = None,
         trainable: str | Sequence[str] = ("surface[*].curvature",),
         illuminant: str | None = None,
+        diffraction: str = "off",
         held: bool = False,
     ) -> None:
         if not jax.config.read("jax_enable_x64"):  # type: ignore[no-untyped-call,unused-ignore]
             raise ValueError('jax_enable_x64: False; jax.config.update("jax_enable_x64", True): a lens\'s numbers are float64')
-        self._core = Layer(lens, frame, distances_mm, trainable, illuminant)
+        self._core = Layer(lens, frame, distances_mm, trainable, illuminant, diffraction=diffraction)
         self.names = self._core.names
         self.values = jnp.asarray(self._core.values, dtype=jnp.float64)
         self.error, self.held = "", held

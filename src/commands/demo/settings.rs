@@ -91,7 +91,7 @@ impl Settings {
             node_error: 0.05,
             outside: 1e-3,
             cells: 60,
-            diffraction: false,
+            diffraction: isoplanat::psf::Model::Rays,
         };
         self.samples = 32;
         self.reference_samples = 128;

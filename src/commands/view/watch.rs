@@ -146,7 +146,7 @@ fn page(lens: &Lens, options: &Options, first: bool) -> Result<String> {
         let colour = !first && crate::report::in_colour(lens);
         let rays = if first { options.rays.min(FIRST_RAYS) } else { options.rays };
         let shifts = if first { FIRST_SHIFTS } else { options.shifts };
-        let options = Options { rays, colour, shifts, whole: !first, ..options.clone() };
+        let options = Options { rays, colour, shifts, whole: !first, energy: !first, ..options.clone() };
         html(&[LensReport::new(lens.clone(), &options)])
     };
     let made = std::panic::catch_unwind(std::panic::AssertUnwindSafe(make));

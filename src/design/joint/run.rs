@@ -30,6 +30,7 @@ use isoplanat_network::{Compute, Reconstructor, UnetConfig};
 use isoplanat_optics::analysis::fabrication::tolerances::Tolerances;
 use isoplanat_optics::lens::Lens;
 use isoplanat_optics::optimize::Problem;
+use isoplanat_optics::psf::Model;
 
 /// Settings of the joint stage.
 #[derive(Clone, Debug)]
@@ -56,8 +57,8 @@ pub struct JointSettings {
     pub depth_power: f64,
     /// How patches are spread over the field.
     pub spread: Spread,
-    /// Whether pictures are by diffraction.
-    pub diffraction: bool,
+    /// By what kernels are made.
+    pub diffraction: Model,
     /// Least relative illumination that the lens's steps keep.
     pub least_illumination: Option<f64>,
     /// A loss on the lens's own images in place of one behind the network, which then stays as it is.
@@ -94,7 +95,7 @@ impl JointSettings {
             sensor_loss: task.loss.sensor.clone(),
             tolerances: task.stated_tolerances()?,
             worst_of: task.lens.worst_of,
-            diffraction: task.pictures.diffraction.is_on(),
+            diffraction: task.pictures.diffraction.stated(),
             settings: None,
         })
     }

@@ -94,8 +94,8 @@ pub struct PictureTask {
     pub batch: usize,
     /// How patches are spread over the field.
     pub spread: Spread,
-    /// Whether all pictures of the design and of its final network, and the filters of guided networks, are by diffraction (`true`), of rays (`false`), or as a few of its
-    /// patches through the lens it starts from ask for (`"auto"`).
+    /// Whether all pictures of the design and of its final network, and the filters of guided networks, are by diffraction (`true`), of rays (`false`), of rays convolved with
+    /// the open pupil's diffraction (`"approximate"`), or as a few of its patches through the lens it starts from ask for (`"auto"`).
     #[serde(skip_serializing_if = "Diffraction::is_off")]
     pub diffraction: Diffraction,
 }

@@ -24,6 +24,7 @@ use isoplanat_imaging::render::{Channels, Renderer, Settings};
 use isoplanat_imaging::sensor::haze::add_haze;
 use isoplanat_imaging::sensor::noise::{mixed, standard_normal};
 use isoplanat_imaging::sensor::spectrum::SpectralDensity;
+use isoplanat_optics::psf::Model;
 
 /// The sensor's image of a region and its ideal picture, `[3, row, col]` each.
 #[derive(Clone, Debug, PartialEq)]
@@ -153,8 +154,8 @@ pub(crate) struct PairSettings {
     pub vergences: Vec<f64>,
     /// Space for kept pairs, bytes.
     pub budget: u64,
-    /// Whether pictures are by diffraction.
-    pub diffraction: bool,
+    /// By what kernels are made.
+    pub diffraction: Model,
 }
 
 /// Of a kept pair, against damage: no secret, and told anew by every version.
@@ -337,7 +338,7 @@ mod tests {
             count: 5,
             vergences: vec![1e-3, 1e-3 / 1.5],
             budget,
-            diffraction: false,
+            diffraction: Model::Rays,
         };
         let open = |seed, budget, at: Option<&Path>| {
             let mut pairs = Pairs::new(&subject, &density, settings(seed, budget)).expect("plans");

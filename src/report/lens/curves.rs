@@ -183,17 +183,24 @@ fn rms_focus(o: &Overview) -> Plot {
 }
 
 fn energy(o: &Overview) -> Plot {
-    let series = o.fields.iter().map(|f| Series {
-        name: angle(f),
-        points: f.encircled.iter().map(|[r, e]| [1e3 * r, *e]).collect(),
-        mark: Mark::Line,
-    });
+    let (mut series, mut keys) = (Vec::new(), Vec::new());
+    let points = |all: &[[f64; 2]]| all.iter().map(|[r, e]| [1e3 * r, *e]).collect();
+    for (k, f) in o.fields.iter().enumerate() {
+        series.push(Series { name: angle(f), points: points(&f.encircled), mark: Mark::Line });
+        keys.push(key(k));
+        if let Some(Ok(waves)) = &f.diffracted {
+            let name = format!("{} by diffraction", angle(f));
+            series.push(Series { name, points: points(&waves.encircled), mark: Mark::Dashed });
+            keys.push(key(k));
+        }
+    }
+    let dashed = if series.iter().any(|s| s.mark == Mark::Dashed) { ", dashed: by diffraction" } else { "" };
     Plot {
-        title: "Encircled energy of rays".into(),
+        title: format!("Encircled energy of rays{dashed}"),
         x_label: "radius about the centroid, µm".into(),
         y_label: "share of the light".into(),
-        series: series.collect(),
-        keys: (0..o.fields.len()).map(key).collect(),
+        series,
+        keys,
         ..Plot::default()
     }
 }

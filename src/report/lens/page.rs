@@ -201,6 +201,7 @@ impl Pages<'_> {
         page.note(&format!(
             "rms: root mean square distance from the centroid, with its parts in x and y; radius: the farthest ray; 50 and 80 %: radii that hold so much of the light; open: part of the stop's rays that \
              arrives. All wavelengths by their weights, y upwards in the meridian of the field; the dashed circle is the Airy disc of the primary wavelength on the axis, which rays know nothing of. \
+             By diffraction: the point spread of scalar waves, before any pixel, about its centroid, all wavelengths by their light; Strehl: its peak over that of the same pupils without path differences. \
              Drawn: {} rays a wavelength; figures: about {rays}, by the light they stand for. One slider moves the image plane, the other shows one wavelength alone, in its place within the spot of all.",
             self.reports.first().map_or(0, |r| r.overview.settings.drawn)
         ));

@@ -25,7 +25,10 @@ pub(crate) type Spectrum<T> = Array2<Complex<T>>;
 impl<T: FftNum> RealFft2<T> {
     /// Plans for `rows × cols`, both at least 1.
     pub fn new(rows: usize, cols: usize) -> Self {
-        let (mut real, mut complex) = (RealFftPlanner::new(), FftPlanner::new());
+        Self::planned((&mut RealFftPlanner::new(), &mut FftPlanner::new()), rows, cols)
+    }
+
+    fn planned((real, complex): (&mut RealFftPlanner<T>, &mut FftPlanner<T>), rows: usize, cols: usize) -> Self {
         Self {
             rows,
             cols,
@@ -91,6 +94,16 @@ impl<T: FftNum> RealFft2<T> {
 
 thread_local! {
     static PLANS: RefCell<FftPlanner<f64>> = RefCell::new(FftPlanner::new());
+    static REAL_PLANS: RefCell<RealFftPlanner<f64>> = RefCell::new(RealFftPlanner::new());
+}
+
+impl RealFft2<f64> {
+    /// As [`Self::new`], of plans that the thread keeps: for transforms of the same few sizes again and again.
+    pub fn shared(rows: usize, cols: usize) -> Self {
+        let with =
+            |real: &mut RealFftPlanner<f64>, complex: &mut FftPlanner<f64>| Self::planned((real, complex), rows, cols);
+        REAL_PLANS.with_borrow_mut(|real| PLANS.with_borrow_mut(|complex| with(real, complex)))
+    }
 }
 
 /// Transforms the rows of an array in standard layout, in place; neither way is scaled.

@@ -1,4 +1,4 @@
-//! Whether pictures need diffraction: kernels of rays beside kernels by diffraction, at a few places of the scenes.
+//! Whether pictures need diffraction, and which model of it: kernels of rays beside kernels by diffraction, at a few places of the scenes.
 
 use serde::de::Visitor;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -8,13 +8,13 @@ use super::draft::Draft;
 use super::plan::{Settings, bent, in_cells};
 use super::probe::{Probing, Values};
 use super::source::WarpedScene;
-use super::stands::stands;
+use super::stands::Candidates;
 use crate::plane::Region;
 use isoplanat_base::error::Result;
 use isoplanat_optics::lens::Lens;
-use isoplanat_optics::psf::Optics;
 use isoplanat_optics::psf::splat::Raster;
 use isoplanat_optics::psf::wave::Pupil;
+use isoplanat_optics::psf::{Model, Optics};
 
 /// How diffraction enters pictures.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -23,7 +23,9 @@ pub enum Diffraction {
     Off,
     /// Kernels by diffraction; where their blur has hundreds of waves, of rays.
     On,
-    /// By diffraction where kernels of rays differ from them by more than a tenth of the mean square error that is asked for.
+    /// Kernels of rays, convolved with the diffraction of the open pupil.
+    Approximate,
+    /// The first of rays, [`Self::Approximate`] and [`Self::On`] that differs from the last by at most a tenth of the mean square error that is asked for.
     #[default]
     Auto,
 }
@@ -34,9 +36,14 @@ impl Diffraction {
         *self == Self::Off
     }
 
-    /// Whether kernels are by diffraction, whatever pictures ask for.
-    pub fn is_on(&self) -> bool {
-        *self == Self::On
+    /// By what kernels are made, as far as that was said: of rays where it is left to pictures.
+    #[doc(hidden)]
+    pub fn stated(self) -> Model {
+        match self {
+            Self::Off | Self::Auto => Model::Rays,
+            Self::Approximate => Model::Approximate,
+            Self::On => Model::Waves,
+        }
     }
 }
 
@@ -45,6 +52,7 @@ impl Serialize for Diffraction {
         match self {
             Self::Off => to.serialize_bool(false),
             Self::On => to.serialize_bool(true),
+            Self::Approximate => to.serialize_str("approximate"),
             Self::Auto => to.serialize_str("auto"),
         }
     }
@@ -56,16 +64,17 @@ impl<'de> Deserialize<'de> for Diffraction {
         impl Visitor<'_> for Stated {
             type Value = Diffraction;
             fn expecting(&self, to: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-                to.write_str("true, false or \"auto\"")
+                to.write_str("true, false, \"approximate\" or \"auto\"")
             }
             fn visit_bool<E: serde::de::Error>(self, on: bool) -> std::result::Result<Diffraction, E> {
                 Ok(if on { Diffraction::On } else { Diffraction::Off })
             }
             fn visit_str<E: serde::de::Error>(self, word: &str) -> std::result::Result<Diffraction, E> {
-                if word == "auto" {
-                    return Ok(Diffraction::Auto);
+                match word {
+                    "auto" => Ok(Diffraction::Auto),
+                    "approximate" => Ok(Diffraction::Approximate),
+                    _ => Err(E::invalid_value(serde::de::Unexpected::Str(word), &self)),
                 }
-                Err(E::invalid_value(serde::de::Unexpected::Str(word), &self))
             }
         }
         from.deserialize_any(Stated)
@@ -75,9 +84,10 @@ impl<'de> Deserialize<'de> for Diffraction {
 /// Places that are looked at; where paths differ by so many wavelengths, whose kernels take long, fewer.
 const LOOKED_AT: usize = 12;
 pub(super) const MANY: f64 = 30.0;
+/// Up to so many wavelengths, and from so many cells on, kernels of waves cost no more than convolved ones.
+const FEW: f64 = 8.0;
+const WIDE: usize = 65;
 const FEWER: usize = 4;
-/// Dense points where kernels of the lens are not looked at.
-const NONE: usize = 20;
 /// Share of the mean square error asked for that leaving diffraction out may make.
 const LEFT: f64 = 0.1;
 /// Largest half-width of the kernels that are compared, cells.
@@ -87,14 +97,18 @@ const LARGE: f64 = 16.0;
 
 /// Diffraction, as far as a plan looked at it.
 pub(super) struct Bent {
-    /// Whether pictures are made with it.
-    pub(super) needed: bool,
-    /// Mean square difference that leaving it out makes, margin and standard error added; no number where it was not measured.
-    pub(super) mean_square: f64,
+    /// By what kernels are made.
+    pub(super) model: Model,
+    /// Mean square difference of pictures of rays, margin and standard error added; no number where it was not measured.
+    pub(super) of_rays: f64,
+    /// The same of what is left out: of [`Self::model`]; 0 where nothing is.
+    pub(super) left_out: f64,
     /// Bytes, from above, that looking took.
     pub(super) bytes: u64,
-    /// The lens at few wavelengths, with it; nothing where it is not needed.
+    /// The lens at few wavelengths, by that model; nothing where it is rays.
     pub(super) light: Option<Optics>,
+    /// Where probes of pictures of rays may stand.
+    pub(super) candidates: Option<Candidates>,
 }
 
 impl Draft<'_> {
@@ -109,12 +123,10 @@ impl Draft<'_> {
             return Ok(None);
         }
         let (Diffraction::Auto, Some(region)) = (how, region) else {
-            let needed = how == Diffraction::On;
-            let light = if needed { Some(self.light.clone().diffracting(lens)?) } else { None };
-            return Ok(Some(Bent { needed, mean_square: f64::NAN, bytes: 0, light }));
+            return self.stated(lens, how.stated()).map(Some);
         };
         let Ok([bend_mm, path_waves]) = self.light.look_at_bending(lens) else {
-            return Ok(Some(Bent { needed: false, mean_square: f64::NAN, bytes: 0, light: None }));
+            return self.stated(lens, Model::Rays).map(Some);
         };
         let sampled: Vec<Vec<WarpedScene<'_>>> = self.scenes.iter().map(|scene| self.sampled(scene, 1)).collect();
         // As far as most of what bends.
@@ -135,32 +147,56 @@ impl Draft<'_> {
         let around = super::coarse::cells(region, self.first.bin);
         let first: Vec<&WarpedScene<'_>> = sampled.iter().map(|s| &s[0]).collect();
         let count = if path_waves > MANY { FEWER } else { LOOKED_AT };
-        let stands = stands(&first, around, count);
+        let candidates = Candidates::new(&first, around);
+        let stands = candidates.drawn(count);
         let seen = |off: &[Values]| {
             let (mean, error) = mean_square(&[off]);
             MARGIN * mean + error
         };
         // What bends a perfect lens's light shows most: blur hides what is left of it. Caustics, which bend more, may have twice its error.
         let sharp_half = in_cells(bent(&[0], bend, &[1e-2])[0], self.first.bin).clamp(2, half);
-        let sharp = self.sharp(bend_mm, sharp_half);
-        let size = 2 * sharp_half + 1;
-        // The lens's own kernels are not looked at.
-        let narrow = Probing { size, dense: NONE, ..probing };
-        let mut mean_square = 4.0
-            * seen(&narrow.each(&narrow.probes(&stands), |p| {
-                let [bent, straight] = sharp.each_ref().map(|kernel| narrow.by_kernel(p, kernel, size));
-                p.less(bent, &straight)
-            }));
-        let (mut light, mut bytes) = (None, 0);
-        if mean_square > LEFT * target {
-            let light = light.insert(self.light.clone().diffracting(lens)?);
-            bytes = light.bending_bytes(probing.size, self.first.raster.pitch_mm);
-            // Kernels of hundreds of waves are made of rays: of as many as those they are held against.
-            let (form, probes) = (probing.form(light, probing.dense, 1), probing.probes(&stands));
-            mean_square = seen(&probing.each(&probes, |p| p.less(probing.through(p, light, &form), &p.coarse)));
+        let narrow = Probing { size: 2 * sharp_half + 1, ..probing };
+        let mut of_rays = 4.0 * seen(&narrow.between(&stands, &self.sharp(bend_mm, sharp_half)));
+        let enough = LEFT * target;
+        let rays = |of_rays, bytes, candidates| {
+            let candidates = Some(candidates);
+            Bent { model: Model::Rays, of_rays, left_out: of_rays, bytes, light: None, candidates }
+        };
+        if of_rays <= enough {
+            return Ok(Some(rays(of_rays, 0, candidates)));
         }
-        let needed = mean_square > LEFT * target;
-        Ok(Some(Bent { needed, mean_square, bytes, light: light.filter(|_| needed) }))
+        let waves = self.light.clone().diffracting(lens, Model::Waves)?;
+        let bytes = waves.bending_bytes(probing.size, self.first.raster.pitch_mm);
+        // Kernels of hundreds of waves are made of rays: of as many as those they are held against.
+        let (form, probes) = (probing.form(&waves, probing.dense, 1), probing.probes(&stands));
+        let right = probing.each(&probes, |p| probing.through(p, &waves, &form));
+        let off = |values: Vec<Values>| -> f64 {
+            let all = probes.iter().zip(values).zip(&right);
+            seen(&all.map(|((p, v), right)| p.less(v, right)).collect::<Vec<Values>>())
+        };
+        of_rays = off(probes.iter().map(|p| p.coarse.clone()).collect());
+        if of_rays <= enough {
+            return Ok(Some(rays(of_rays, bytes, candidates)));
+        }
+        let by_waves =
+            |waves| Bent { model: Model::Waves, of_rays, left_out: 0.0, bytes, light: Some(waves), candidates: None };
+        if path_waves <= FEW && probing.size > WIDE {
+            return Ok(Some(by_waves(waves)));
+        }
+        let light = self.light.clone().diffracting(lens, Model::Approximate)?;
+        let left_out = off(probing.each(&probes, |p| probing.through(p, &light, &form)));
+        Ok(Some(if left_out <= enough {
+            Bent { model: Model::Approximate, of_rays, left_out, bytes, light: Some(light), candidates: None }
+        } else {
+            by_waves(waves)
+        }))
+    }
+
+    /// What nobody looked at.
+    fn stated(&self, lens: &Lens, model: Model) -> Result<Bent> {
+        let light = model.diffracts().then(|| self.light.clone().diffracting(lens, model)).transpose()?;
+        let left_out = if model == Model::Waves { 0.0 } else { f64::NAN };
+        Ok(Bent { model, of_rays: f64::NAN, left_out, bytes: 0, light, candidates: None })
     }
 
     /// Kernels of a perfect lens of the narrowest pupil, by diffraction and of one ray, of half-width `half`; where cells are much larger than what bends, of smaller

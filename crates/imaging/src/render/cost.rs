@@ -4,6 +4,7 @@ use super::plan::Settings;
 use crate::plane::Region;
 use crate::render::blur::cost::Task;
 use crate::render::node_grid::NodeGrid;
+use isoplanat_optics::psf::Model;
 
 /// Size of a picture's work.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,6 +27,8 @@ const SPLAT: (f64, f64) = (1.2e-8, 8e-10);
 const POINT: f64 = 1.5e-9;
 /// Seconds of a kernel by diffraction of a wavelength: constant, and a point of its raster.
 const BENT: (f64, f64) = (4e-3, 5e-7);
+/// Seconds of the convolution by an open pupil's diffraction: constant, and a point of a channel's raster.
+const OPEN: (f64, f64) = (1e-3, 1.5e-7);
 /// Seconds to sample the scene: a place, a channel.
 const SAMPLE: (f64, f64) = (1.2e-8, 4e-9);
 /// Fields a table has, about.
@@ -59,10 +62,12 @@ pub(crate) fn seconds(work: &Work, settings: &Settings, half_width: usize, grid:
     let pixels = (work.region.rows * work.region.cols) as f64;
     let table = FIELDS * waves * (60.0 * RAY + dense * DENSE);
     let splat = SPLAT.0 + SPLAT.1 * (m + 2.0) * (m + 2.0);
-    let node = if settings.diffraction {
-        waves * (BENT.0 + (m * size).powi(2) * BENT.1)
-    } else {
-        waves * (dense * (MIX + splat) + m * m * size * size * (1.0 + channels) * POINT)
+    let points = (m * size).powi(2);
+    let rays = waves * (dense * (MIX + splat) + points * (1.0 + channels) * POINT);
+    let node = match settings.diffraction {
+        Model::Rays => rays,
+        Model::Approximate => rays + OPEN.0 + channels * points * OPEN.1,
+        Model::Waves => waves * (BENT.0 + points * BENT.1),
     };
     let warp = pixels * m * m * (SAMPLE.0 + SAMPLE.1 * work.planes as f64);
     table + grid.len() as f64 * node + warp

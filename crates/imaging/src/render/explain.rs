@@ -5,6 +5,7 @@ use super::plan::Settings;
 use super::scene_plan::{ScenePlan, Skip};
 use crate::render::blur::Method;
 use isoplanat_optics::lens::Lens;
+use isoplanat_optics::psf::Model;
 
 /// The list of a plan; `ladders` give the bounds of what was made coarser.
 pub(super) fn skips(plan: &ScenePlan, lens: &Lens, ladders: Option<&Ladders>) -> Vec<Skip> {
@@ -111,12 +112,18 @@ impl<'a> List<'a> {
     fn diffraction(&mut self) {
         // Pictures of rays that were asked for lack nothing.
         let Some(bound) = self.plan.bend_bound else { return };
-        let reason = if bound.is_finite() {
-            "blur of rays and pixels hide what bends at the stop"
-        } else {
-            "rays for it do not get through this lens"
+        let convolved = self.plan.renderer.plan.settings.diffraction.diffracts();
+        let reason = match bound.is_finite() {
+            true if convolved => "kernels of rays, convolved with the open pupil's diffraction, are enough",
+            true => "blur of rays and pixels hide what bends at the stop",
+            false => "rays for it do not get through this lens",
         };
-        self.add("diffraction", reason.to_owned(), 0.0, bound);
+        self.add(
+            if convolved { "diffraction with path differences" } else { "diffraction" },
+            reason.to_owned(),
+            0.0,
+            bound,
+        );
     }
 
     fn of_the_settings(&mut self) {
@@ -133,7 +140,7 @@ impl<'a> List<'a> {
             let off = self.found(|l| l.samples.iter().find(|r| r.setting >= s.samples).or(l.samples.last()));
             self.add("scene samples", reason, share(s.samples * s.samples, fine.samples * fine.samples), off);
         }
-        if s.dense < fine.dense && !s.diffraction {
+        if s.dense < fine.dense && s.diffraction != Model::Waves {
             let reason = format!("{} of {} points a beam", s.dense, fine.dense);
             let off = self.found(|l| l.dense.iter().find(|r| r.setting >= s.dense).or(l.dense.last()));
             self.add("pupil points", reason, share(s.dense, fine.dense), off);
@@ -154,7 +161,7 @@ impl<'a> List<'a> {
         }
         let off = self.found(|l| l.windows.iter().find(|r| r.setting.1 >= depth.half_width));
         let mut reason = format!("{size} × {size} {unit} hold all but {outside:.1e} of every beam");
-        if self.plan.renderer.optics.spec.diffraction {
+        if self.plan.renderer.optics.spec.diffraction.diffracts() {
             reason.push_str("; light that bends farther is spread evenly over them");
         }
         self.add("light outside the kernels", reason, 1.0, off);

@@ -21,7 +21,7 @@ use crate::sensor::spectrum::SpectralDensity;
 use isoplanat_base::error::Result;
 use isoplanat_optics::lens::Lens;
 use isoplanat_optics::lens::variables::Variables;
-use isoplanat_optics::psf::OpticsBar;
+use isoplanat_optics::psf::{Model, OpticsBar};
 
 /// What gradients are compared with.
 pub const CONVERGED: Settings = Settings {
@@ -32,7 +32,7 @@ pub const CONVERGED: Settings = Settings {
     node_error: 0.03,
     outside: 2e-4,
     cells: 192,
-    diffraction: false,
+    diffraction: Model::Rays,
 };
 
 /// One setting's gradients.
@@ -199,7 +199,11 @@ impl Chosen {
         let s = &self.settings;
         format!(
             "{}{} wavelengths, {} points of the stop, field nodes within {}, kernels of half-width {} cells at most: lens gradient off by {:.1} % {} ({:.0} % of patches' gradients is their own)",
-            if s.diffraction { "by diffraction, " } else { "" },
+            match s.diffraction {
+                Model::Rays => "",
+                Model::Approximate => "with the open pupil's diffraction, ",
+                Model::Waves => "by diffraction, ",
+            },
             s.wavelengths,
             s.dense,
             s.node_error,

@@ -15,7 +15,7 @@ use super::plan::{DepthPlan, RenderPlan, Settings, in_cells, quadrature};
 use super::probe::{Probing, Values};
 use super::renderer::Renderer;
 use super::source::WarpedScene;
-use super::stands::{SIDE, Stand, stands};
+use super::stands::{Candidates, SIDE, Stand};
 use crate::plane::{Plane, Region};
 use crate::render::node_grid::NodeGrid;
 use isoplanat_base::error::Result;
@@ -68,6 +68,7 @@ impl Draft<'_> {
             |widths: &[usize]| -> Vec<usize> { widths.iter().map(|half| in_cells(*half, first.bin)).collect() };
         let size = 2 * halves(&self.of_rays)[Settings::OUTSIDE.len()] + 1;
         let (most, count) = efforts(size, first.bin);
+        let candidates = bent.and_then(|b| b.candidates.as_ref());
         let bent = bent.and_then(|b| b.light.as_ref());
         let count = match bent {
             Some(light) if light.path_waves() > MANY => count.min(BENT),
@@ -87,7 +88,10 @@ impl Draft<'_> {
             dense: DENSE,
         };
         let around = super::coarse::cells(region, first.bin);
-        let stands = stands(&sampled.iter().map(|s| &s[0]).collect::<Vec<_>>(), around, count);
+        let stands = match candidates {
+            Some(candidates) => candidates.drawn(count),
+            None => Candidates::new(&sampled.iter().map(|s| &s[0]).collect::<Vec<_>>(), around).drawn(count),
+        };
         let probes = probing.probes(&stands);
         let rules: Vec<_> = Settings::WAVELENGTHS
             .iter()
@@ -102,8 +106,8 @@ impl Draft<'_> {
         let mut found = measuring.ladders(&mut nodes, target);
         let mut base = self.base;
         if let Some(light) = bent {
-            base.diffraction = true;
-            let colours = self.colours.clone().diffracting(lens)?;
+            base.diffraction = light.spec.diffraction;
+            let colours = self.colours.clone().diffracting(lens, light.spec.diffraction)?;
             let (halves, size) = (halves(&self.widths[..told]), first.size());
             let probing = Probing { optics: light, colours: &colours, size, ..probing };
             let probes = probing.probes(&stands);

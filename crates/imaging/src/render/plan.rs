@@ -15,7 +15,7 @@ use crate::sensor::spectrum::SpectralDensity;
 use isoplanat_base::error::Result;
 use isoplanat_optics::lens::Lens;
 use isoplanat_optics::psf::table::Tolerance;
-use isoplanat_optics::psf::{Optics, OpticsSpec, Quadrature};
+use isoplanat_optics::psf::{Model, Optics, OpticsSpec, Quadrature};
 
 /// Largest error of rays between the table's radii, pixels.
 const LANDING_ERROR_PX: f64 = 0.02;
@@ -50,9 +50,9 @@ pub struct Settings {
     pub outside: f64,
     /// Largest half-width of a kernel in cells: wider ones are computed on cells of 2, 4, … pixels.
     pub cells: usize,
-    /// Whether kernels are made by diffraction; else of rays.
+    /// By what kernels are made.
     #[serde(default)]
-    pub diffraction: bool,
+    pub diffraction: Model,
 }
 
 impl Settings {
@@ -65,7 +65,7 @@ impl Settings {
         node_error: 0.02,
         outside: 1e-4,
         cells: 160,
-        diffraction: false,
+        diffraction: Model::Rays,
     };
     /// For training pairs of a fixed lens.
     pub const TRAINING: Self = Self {
@@ -76,7 +76,7 @@ impl Settings {
         node_error: 0.05,
         outside: 2e-3,
         cells: 64,
-        diffraction: false,
+        diffraction: Model::Rays,
     };
     /// For the steps of a design.
     pub const DESIGN: Self = Self {
@@ -87,7 +87,7 @@ impl Settings {
         node_error: 0.05,
         outside: 1e-2,
         cells: 64,
-        diffraction: false,
+        diffraction: Model::Rays,
     };
 
     /// Ladder of scene samples a pixel.
@@ -186,8 +186,14 @@ pub fn optics(
 ) -> Result<(Optics, Tolerance)> {
     let radii_mm = vec![0.0, frame.max_radius_mm()];
     let tolerance = Tolerance { landing_mm: LANDING_ERROR_PX * frame.pitch_mm, weight: WEIGHT_ERROR };
-    let spec =
-        OpticsSpec { radii_mm, vergences: vergences.to_vec(), quadrature, degree, illuminations, diffraction: false };
+    let spec = OpticsSpec {
+        radii_mm,
+        vergences: vergences.to_vec(),
+        quadrature,
+        degree,
+        illuminations,
+        diffraction: Model::Rays,
+    };
     Optics::adapted(lens, spec, tolerance)
 }
 
@@ -234,9 +240,14 @@ pub(crate) fn bin_of(half: usize, cells: usize) -> usize {
 
 /// Half-widths, pixels, of the kernels that hold all but each of `shares` of the light over the part `region` of the frame.
 pub(super) fn widths(optics: &Optics, frame: &Frame, depth: usize, region: Region, shares: &[f64]) -> Vec<usize> {
-    let look = optics.form(LOOK, 1, 1, frame.pitch_mm);
-    let rays = optics.half_widths(&look, depth, shares, region.radii_mm(frame, 0.0));
+    let rays = ray_widths(optics, frame, depth, region, shares);
     bent(&rays, optics.bending_mm() / frame.pitch_mm, shares)
+}
+
+/// The same of rays alone.
+pub(super) fn ray_widths(optics: &Optics, frame: &Frame, depth: usize, region: Region, shares: &[f64]) -> Vec<usize> {
+    let look = optics.form(LOOK, 1, 1, frame.pitch_mm);
+    optics.half_widths(&look, depth, shares, region.radii_mm(frame, 0.0))
 }
 
 /// `halves` (pixels) that follow light which diffraction bends, too: by `λ/NA`, of `bend` pixels.
@@ -298,7 +309,7 @@ pub(crate) fn depth_plan(
     let around = super::coarse::cells(region, plan.bin);
     let (tolerance, dense) = (settings.node_error, settings.dense.min(800));
     // Diffraction blurs what rays tell from place to place, and costs more: nodes that serve rays serve it.
-    let of_rays = optics.spec.diffraction.then(|| optics.clone().of_rays());
+    let of_rays = optics.spec.diffraction.diffracts().then(|| optics.clone().of_rays());
     let placed = of_rays.as_ref().unwrap_or(optics);
     let mut nodes = Nodes::coarse(placed, depth, &plan.raster, around, plan.size(), tolerance, dense);
     nodes.refine(tolerance);

@@ -16,7 +16,7 @@ use crate::render::node_grid::NodeGrid;
 use crate::sensor::spectrum::SpectralDensity;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_optics::lens::Lens;
-use isoplanat_optics::psf::{Optics, OpticsSpec};
+use isoplanat_optics::psf::{Model, Optics, OpticsSpec};
 
 /// Spacing of the nodes where nothing is left out, cells.
 const FULL_SPACING: usize = 16;
@@ -59,13 +59,14 @@ pub fn plan(
     let lit = draft.region.filter(|_| !draft.needs.channels.lit.is_empty());
     let region = lit.filter(|_| probing);
     let how = match (request, options.diffraction) {
-        (Request::Settings(settings), _) if settings.diffraction => Diffraction::On,
+        (Request::Settings(settings), _) if settings.diffraction == Model::Waves => Diffraction::On,
+        (Request::Settings(settings), _) if settings.diffraction.diffracts() => Diffraction::Approximate,
         // Given settings are what is asked for.
         (Request::Settings(_), Diffraction::Auto) => Diffraction::Off,
         (_, how) => how,
     };
     let bent = draft.bent(lens, lit, (how, target))?;
-    let left_out = bent.as_ref().filter(|b| !b.needed).map(|b| b.mean_square);
+    let left_out = bent.as_ref().filter(|b| b.model != Model::Waves).map(|b| b.left_out);
     let draft = match bent.as_ref().and_then(|b| b.light.as_ref()) {
         Some(light) => draft.bending(lens, light.bending_mm(), request == Request::Everything)?,
         None => draft,
@@ -96,22 +97,22 @@ pub fn plan(
 #[doc(hidden)]
 pub fn lacking(lens: &Lens, scenes: &[Plane], frame: &Frame, density: &SpectralDensity) -> Result<f64> {
     // No error allowed: what a perfect lens tells is not enough.
-    Ok(looked(lens, scenes, frame, density, 0.0)?.map_or(0.0, |b| b.mean_square.sqrt()))
+    Ok(looked(lens, scenes, frame, density, 0.0)?.map_or(0.0, |b| b.of_rays.sqrt()))
 }
 
-/// Whether pictures of rays lack so much of diffraction that `held_db` would not be held by the rest, as a few places of `scenes` tell.
+/// By what kernels are made that lack so little of diffraction that `held_db` is held by the rest, as a few places of `scenes` tell.
 ///
 /// # Errors
 /// As [`plan()`].
 #[doc(hidden)]
-pub fn needs_diffraction(
+pub fn enough_diffraction(
     lens: &Lens,
     scenes: &[Plane],
     frame: &Frame,
     density: &SpectralDensity,
     held_db: f64,
-) -> Result<bool> {
-    Ok(looked(lens, scenes, frame, density, 10f64.powf(-0.1 * held_db))?.is_some_and(|b| b.needed))
+) -> Result<Model> {
+    Ok(looked(lens, scenes, frame, density, 10f64.powf(-0.1 * held_db))?.map_or(Model::Rays, |b| b.model))
 }
 
 /// What a few places of `scenes` tell of diffraction, where the mean square error `target` is asked for; nothing where no light is.
@@ -157,7 +158,7 @@ struct Chosen {
 impl Draft<'_> {
     /// What is rendered how finely, after the probes have been `measured` or without them.
     fn chosen(&self, request: Request, measured: Option<&(Choice, Ladders)>, bent: Option<&Bent>) -> Result<Chosen> {
-        let diffraction = bent.is_some_and(|b| b.light.is_some());
+        let diffraction = bent.map_or(Model::Rays, |b| b.model);
         let (base, first, whole) = (Settings { diffraction, ..self.base }, &self.first, Region::whole(self.frame));
         Ok(match (request, measured) {
             (Request::Psnr(_), Some((c, _))) => Chosen {
@@ -196,7 +197,7 @@ impl Draft<'_> {
             let spec = OpticsSpec { quadrature, illuminations: ILLUMINATIONS, ..self.colours.spec };
             Optics::compute(lens, &spec)?
         };
-        let optics = if settings.diffraction { optics.diffracting(lens)? } else { optics };
+        let optics = optics.diffracting(lens, settings.diffraction)?;
         let (frame, spec) = (self.frame.clone(), optics.spec.clone());
         let plan = RenderPlan { frame, settings, spec, table_error: self.table_error, depths: vec![depth] };
         let renderer = Renderer::with(optics, plan);

@@ -265,11 +265,21 @@ impl Probing<'_> {
         self.values(&probe.patch, probe.region, (&kernels, &self.light(at)), (self.size, self.size))
     }
 
-    /// Values of a probe through one flipped kernel of `size` pixels for all channels, at the coarsest sampling.
-    pub(crate) fn by_kernel(&self, probe: &Probe, kernel: &[f32], size: usize) -> Values {
-        let light = self.light(self.centre(probe.region));
-        let kernels = vec![kernel.to_vec(); self.lit.len()];
-        self.values(&probe.patch, probe.region, (&kernels, &light), (size, self.size))
+    /// Differences of values through two flipped kernels for all channels at `stands`, as much as each counts for, at the coarsest sampling.
+    pub(crate) fn between(&self, stands: &[Stand], kernels: &[Vec<f32>; 2]) -> Vec<Values> {
+        let of = |Stand { scene, region, weight }: &Stand| {
+            look();
+            let patch = Patch::sample(&self.scenes[*scene][0], *region, self.size);
+            let light = self.light(self.centre(*region));
+            let [a, b] = kernels.each_ref().map(|kernel| {
+                let kernels = vec![kernel.clone(); self.lit.len()];
+                self.values(&patch, *region, (&kernels, &light), (self.size, self.size))
+            });
+            #[expect(clippy::cast_possible_truncation, reason = "a factor on values of pixels")]
+            let scale = weight.sqrt() as f32;
+            a.into_iter().zip(b).map(|(a, b)| scale * (a - b)).collect()
+        };
+        stands.par_iter().map(of).collect()
     }
 
     /// Differences that windows of `sizes` pixels make.
@@ -280,7 +290,7 @@ impl Probing<'_> {
                 return vec![0.0; probe.coarse.len()];
             }
             let mut inner: Vec<Vec<f32>> = probe.kernels.iter().map(|k| cropped(k, self.size, *size, 1)).collect();
-            if self.optics.spec.diffraction {
+            if self.optics.spec.diffraction.diffracts() {
                 inner.iter_mut().zip(&probe.kernels).for_each(|(inner, whole)| put_back(inner, whole));
             }
             probe.less(self.values(&probe.patch, probe.region, (&inner, &light), (*size, self.size)), &probe.coarse)

@@ -18,7 +18,7 @@ use rayon::prelude::*;
 
 use super::node_grid::NodeGrid;
 use super::nodes::{Nodes, centre};
-use super::plan::{ILLUMINATIONS, optics, quadrature, widths};
+use super::plan::{ILLUMINATIONS, optics, quadrature, ray_widths};
 use crate::frame::Frame;
 use crate::plane::Region;
 use crate::sensor::spectrum::SpectralDensity;
@@ -26,8 +26,7 @@ use isoplanat_base::error::{Error, Result};
 use isoplanat_base::math::memory::{BASE, Limit, product, threads};
 use isoplanat_optics::lens::Lens;
 use isoplanat_optics::psf::bent::WaveFigures;
-use isoplanat_optics::psf::wave::Waves;
-use isoplanat_optics::psf::{Optics, SensorPoint};
+use isoplanat_optics::psf::{Model, Optics, SensorPoint};
 
 #[doc(hidden)]
 pub use arrays::Values;
@@ -140,16 +139,16 @@ impl PsfMap {
         let rule = quadrature(density, request.wavelengths, &[0, 1, 2]);
         let (optics, _) = optics(lens, frame, &[request.vergence], rule, (DEGREE, ILLUMINATIONS))?;
         let whole = Region::whole(frame);
-        let waves = request.diffraction.then(|| Waves::new(lens, &optics)).transpose()?;
+        let optics = if request.diffraction { optics.diffracting(lens, Model::Waves)? } else { optics };
         let size = match request.size {
             Some(size) => size,
             None => {
-                let bent = waves.as_ref().map_or(0, |w| bent_px(w, &optics, 0, frame));
-                2 * widths(&optics, frame, 0, whole, &[LOST])[0].saturating_add(bent).min(usize::MAX / 4) + 1
+                let half = ray_widths(&optics, frame, 0, whole, &[LOST])[0];
+                2 * half.saturating_add(bent_px(&optics, 0, frame)).min(usize::MAX / 4) + 1
             }
         };
         if size > LARGEST && request.size.is_none() {
-            let share = if waves.is_some() { "99 %" } else { "99.9 %" };
+            let share = if request.diffraction { "99 %" } else { "99.9 %" };
             let found = format!("{size} pixels to hold {share} of the light");
             return Err(Error::bad(
                 lens.file(),
@@ -158,7 +157,8 @@ impl PsfMap {
                 format!("state a size; automatic up to {LARGEST}"),
             ));
         }
-        let grid = request.places.grid(&optics, frame, size, request.rays);
+        // As pictures place them: by rays, whose kernels differ more from place to place.
+        let grid = request.places.grid(&optics.clone().of_rays(), frame, size, request.rays);
         let points: Vec<SensorPoint> = match (&grid, request.places) {
             (None, PsfPlaces::Heights(count)) => heights(frame, count),
             (grid, _) => {
@@ -169,20 +169,14 @@ impl PsfMap {
         let multipliers = if request.places.are_filters() { [frame.rows, frame.columns] } else { [0, 0] };
         let (what, instead) =
             (format!("{count} kernels of {size} × {size}"), "fewer places, a smaller size, or a smaller frame");
-        let making = waves.as_ref().map_or(0, |w| w.bytes(&optics, 0, &points, (size, frame.pitch_mm)));
+        let making = optics.bending_bytes_at(0, &points, (size, frame.pitch_mm));
         request.memory.allow(&what, bytes(count, size, multipliers).saturating_add(making), instead)?;
         let form = optics.form(request.rays, size, 1, frame.pitch_mm);
         #[expect(clippy::cast_possible_truncation, reason = "kernels leave as f32")]
         let single = |_: usize, kernel: &[f64], outside: &[f64]| {
             (kernel.iter().map(|v| *v as f32).collect::<Vec<f32>>(), outside.to_vec())
         };
-        let (made, diffraction) = match &waves {
-            None => (optics.kernels_each(&form, 0, &points, single), None),
-            Some(waves) => {
-                let (made, figures) = waves.kernels_each(&optics, &form, 0, &points, single);
-                (made, Some(figures))
-            }
-        };
+        let (made, diffraction) = optics.kernels_told_each(&form, 0, &points, single);
         let (kernels, outside): (Vec<Vec<f32>>, Vec<Vec<f64>>) = made.into_iter().unzip();
         let shaped = |e: ndarray::ShapeError| Error::Internal(e.to_string());
         let kernels = Array4::from_shape_vec((count, 3, size, size), kernels.concat()).map_err(shaped)?;
@@ -277,9 +271,9 @@ impl PsfPlaces {
 
 /// How far light bends beyond its rays at the frame's axis and corner, pixels.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "saturates")]
-fn bent_px(waves: &Waves, optics: &Optics, depth: usize, frame: &Frame) -> usize {
+fn bent_px(optics: &Optics, depth: usize, frame: &Frame) -> usize {
     let ends = [SensorPoint::AXIS, SensorPoint::along([0.0, 1.0], frame.max_radius_mm())];
-    (waves.bending_mm(optics, depth, &ends) / frame.pitch_mm).ceil() as usize
+    (optics.bending_mm_at(depth, &ends) / frame.pitch_mm).ceil() as usize
 }
 
 /// `count` pixels of `n`, evenly from the first to the last; one stands in the middle. No pixel twice.

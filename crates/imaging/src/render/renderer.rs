@@ -75,7 +75,7 @@ impl Renderer {
         density.require(lens)?;
         let rule = quadrature(density, settings.wavelengths, &[0, 1, 2]);
         let (optics, table_error) = plan::optics(lens, frame, vergences, rule, (settings.degree, ILLUMINATIONS))?;
-        let optics = if settings.diffraction { optics.diffracting(lens)? } else { optics };
+        let optics = optics.diffracting(lens, settings.diffraction)?;
         let plan = RenderPlan::of(&optics, frame, settings, table_error).map_err(|e| e.in_file(lens.file()))?;
         Ok(Self::with(optics, plan))
     }

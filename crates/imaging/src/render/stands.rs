@@ -23,29 +23,34 @@ pub struct Stand {
     pub weight: f64,
 }
 
-/// `count` places over all of `scenes`, drawn by the energy of their second differences (and evenly, for a part), and weighed by
-/// how much likelier they were drawn than evenly.
-pub fn stands(scenes: &[&WarpedScene<'_>], region: Region, count: usize) -> Vec<Stand> {
-    let candidates: Vec<(usize, Region)> = scenes
-        .iter()
-        .enumerate()
-        .flat_map(|(k, _)| places(region, CANDIDATES.div_ceil(scenes.len())).into_iter().map(move |r| (k, r)))
-        .collect();
-    let energy: Vec<f64> = candidates.par_iter().map(|(k, r)| detail(scenes[*k], *r)).collect();
-    let (all, total) = (candidates.len() as f64, energy.iter().sum::<f64>());
-    let density = |e: f64| if total > 0.0 { EVEN / all + (1.0 - EVEN) * e / total } else { all.recip() };
-    // Systematic draws along the running sum.
-    let mut out = Vec::with_capacity(count);
-    let (mut sum, mut next) = (0.0, 0.5 / count as f64);
-    for ((scene, region), e) in candidates.iter().zip(&energy) {
-        let p = density(*e);
-        sum += p;
-        while sum >= next && out.len() < count {
-            out.push(Stand { scene: *scene, region: *region, weight: 1.0 / (all * p) });
-            next += 1.0 / count as f64;
-        }
+/// Places of scenes, numbered, with the energy of their second differences.
+pub struct Candidates(Vec<(usize, Region, f64)>);
+
+impl Candidates {
+    /// Of all of `scenes`, over `region`.
+    pub fn new(scenes: &[&WarpedScene<'_>], region: Region) -> Self {
+        let of = |k: usize| places(region, CANDIDATES.div_ceil(scenes.len())).into_iter().map(move |r| (k, r));
+        let all: Vec<(usize, Region)> = (0..scenes.len()).flat_map(of).collect();
+        Self(all.into_par_iter().map(|(k, r)| (k, r, detail(scenes[k], r))).collect())
     }
-    out
+
+    /// `count` of them, drawn by energy (and evenly, for a part), and weighed by how much likelier they were drawn than evenly.
+    pub fn drawn(&self, count: usize) -> Vec<Stand> {
+        let (all, total) = (self.0.len() as f64, self.0.iter().map(|c| c.2).sum::<f64>());
+        let density = |e: f64| if total > 0.0 { EVEN / all + (1.0 - EVEN) * e / total } else { all.recip() };
+        // Systematic draws along the running sum.
+        let mut out = Vec::with_capacity(count);
+        let (mut sum, mut next) = (0.0, 0.5 / count as f64);
+        for (scene, region, energy) in &self.0 {
+            let p = density(*energy);
+            sum += p;
+            while sum >= next && out.len() < count {
+                out.push(Stand { scene: *scene, region: *region, weight: 1.0 / (all * p) });
+                next += 1.0 / count as f64;
+            }
+        }
+        out
+    }
 }
 
 /// `count` places of [`SIDE`] pixels spread over `region`, jittered; the same for the same region.

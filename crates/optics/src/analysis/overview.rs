@@ -1,5 +1,7 @@
 //! Everything about one lens at one object distance: spots, fans, curves, MTF, each with what its sampling leaves open.
 
+mod energy;
+
 use std::time::Instant;
 
 use glam::DVec2;
@@ -15,6 +17,8 @@ use super::zernike::{Fit, Order};
 use crate::lens::{Lens, paraxial};
 use crate::trace::{Failure, ObjectPoint, System};
 use isoplanat_base::stop::look;
+
+pub use energy::Energy;
 
 /// Points each way of an overlap, at most: blur of more than about 100 cycles has no value, but on the sensor, where it is followed as far as it can
 /// be at every so many frequencies. A fast lens out of focus would take minutes otherwise.
@@ -44,6 +48,8 @@ pub struct Settings {
     pub shift_mm: Option<f64>,
     /// Points across a map of the wavefront, and Zernike terms; none leaves waves out: no maps, no MTF by diffraction.
     pub waves: Option<(usize, usize)>,
+    /// Whether Strehl ratio and encircled energy are made by diffraction beside those of rays.
+    pub energy: bool,
 }
 
 impl Settings {
@@ -62,6 +68,7 @@ impl Settings {
             shifts: 6,
             shift_mm: None,
             waves: Some((64, 28)),
+            energy: true,
         }
     }
 }
@@ -107,6 +114,8 @@ pub struct Field {
     pub encircled: Vec<[f64; 2]>,
     /// Radii that hold 50, 80 and 95 % of the light, mm.
     pub energy: Option<[f64; 3]>,
+    /// Strehl ratio and encircled energy by diffraction, on the sensor; why there are none; nothing where they are left out.
+    pub diffracted: Option<Result<Energy, String>>,
     /// Geometric MTF at the overview's frequencies, on the sensor; not numbers without light.
     pub mtf: Vec<Pair>,
     /// Largest difference of it from that of a quarter of the rays.
@@ -178,6 +187,10 @@ impl Overview {
                 let plan = Plan { directions: directions(point).to_vec(), ..plan.clone() };
                 f.diffraction = Some(waves_of(lens, point, &plan));
             });
+        }
+        if settings.energy {
+            let found = energy::over_fields(lens, &fields);
+            fields.iter_mut().zip(found).for_each(|(f, found)| f.diffracted = Some(found));
         }
         let waves = start.elapsed().as_secs_f64() - spots;
         let end = settings.angles_deg.last().copied().unwrap_or(0.0);
@@ -273,6 +286,7 @@ impl View<'_> {
             transverse: fans(&|s, from| transverse(s, point, from, self.settings.fan)),
             path: fans(&|s, from| path(s, point, from, self.settings.fan)),
             encircled: thinned(&within, every.max(1)),
+            diffracted: None,
             energy: half.zip(most).zip(nearly).map(|((a, b), c)| [a, b, c]),
             mtf,
             mtf_change,
@@ -355,6 +369,20 @@ mod tests {
             let (map, fit) = field.map.as_ref().expect("light");
             assert!(map.best.rms <= map.figures.rms && fit.as_ref().expect("a whole pupil").residual_rms < 0.02);
         }
+        // Energy by diffraction lies farther out than the perfect lens's, and its Strehl ratio on the axis is the wavefront's, nearly: other wavelengths are in it.
+        for field in &found.fields {
+            let energy = field.diffracted.as_ref().expect("asked").as_ref().expect("light");
+            let [half, most, nearly] = energy.radii.map(|r| r.expect("told"));
+            assert!(0.3 * found.airy_radius < half && half < most && most < nearly, "{:?}", energy.radii);
+            assert!(energy.strehl > 0.0 && energy.strehl < 1.0 && energy.residual_waves < 1e-3, "{energy:?}");
+            assert!(energy.encircled.windows(2).all(|w| w[0][1] <= w[1][1] + 1e-4), "rises");
+            // Where blur is many times what bends, rays have it, too.
+            let rays = field.energy.expect("light");
+            eprintln!("{}°: {:?} {rays:?} {}", field.angle_deg, energy.radii, energy.strehl);
+            if rays[1] > 4.0 * found.airy_radius {
+                assert!((most / rays[1] - 1.0).abs() < 0.25, "{most} {}", rays[1]);
+            }
+        }
         // On the axis both directions are alike.
         assert!(found.fields[0].mtf.iter().all(|[t, s]| (t - s).abs() < 2e-3));
     }
@@ -366,6 +394,8 @@ mod tests {
         let found = Overview::new(&lens, settings);
         let dark = &found.fields[1];
         assert!(dark.spot.is_none() && dark.rms.is_none() && dark.open_part == 0.0 && dark.encircled.is_empty());
+        assert!(dark.diffracted.as_ref().expect("asked").as_ref().is_err_and(|why| why.contains("no light")));
+        assert!(found.fields[0].diffracted.as_ref().expect("asked").is_ok());
         assert!(dark.mtf.iter().flatten().all(|v| v.is_nan()) && dark.mtf_change.is_nan());
     }
 }

@@ -7,8 +7,10 @@
 //! So a channel's kernel sums to one, less what falls outside the window, and what varies over the field in brightness is
 //! kept beside it.
 
+use super::convolved::Convolution;
 use super::illumination::Illumination;
 use super::meridian::{Dense, Meridian, MeridianBar};
+use super::model::Model;
 use super::point::SensorPoint;
 use super::rays::{Rays, RaysBar};
 use super::sensor_map::SensorMap;
@@ -47,6 +49,18 @@ pub struct Pencil {
     levels: Vec<f64>,
     /// By wavelength; none that no channel sees.
     colours: Vec<Option<Colour>>,
+    /// What kernels of rays are convolved with.
+    opening: Option<Opening>,
+}
+
+/// The open pupil that kernels of rays are convolved with the diffraction of.
+#[derive(Clone, Debug)]
+struct Opening {
+    /// Number of its wavelength.
+    l: usize,
+    pupil: Box<Pupil>,
+    /// Mean wavelength of each channel, mm.
+    mean_mm: Vec<f64>,
 }
 
 /// One wavelength of a pencil.
@@ -80,6 +94,8 @@ pub(crate) struct PencilBar {
     rays: Vec<RaysBar>,
     /// By wavelength, of those that go by diffraction.
     pupils: Vec<Option<PupilBars>>,
+    /// Of the pupil that kernels of rays are convolved with.
+    opening: Option<PupilBars>,
     /// `[channel][wavelength]`.
     shares: Vec<Vec<f64>>,
 }
@@ -96,6 +112,7 @@ impl PencilBar {
         Self {
             rays: pencil.colours.iter().map(none).collect(),
             pupils: pencil.colours.iter().map(pupil).collect(),
+            opening: pencil.opening.as_ref().map(|o| PupilBars::zeros(&o.pupil)),
             shares: pencil.shares.iter().map(|s| vec![0.0; s.len()]).collect(),
         }
     }
@@ -166,7 +183,7 @@ impl KernelForm {
         let (shares, levels) = self.shares(illumination, point);
         let fed: Vec<_> = (0..table.spec.wavelength_nm.len()).map(|l| Self::fed(&shares, l)).collect();
         let by_waves = |l: usize| {
-            let waves = waves.filter(|_| !fed[l].is_empty())?;
+            let waves = waves.filter(|w| w.model == Model::Waves && !fed[l].is_empty())?;
             waves.pupil_of(table, map, l, point).filter(|pupil| pupil.is_told(self.cell_mm))
         };
         let mut pupils: Vec<Option<Pupil>> = (0..fed.len()).map(by_waves).collect();
@@ -179,7 +196,17 @@ impl KernelForm {
                 Some(Colour { fed, light })
             })
             .collect();
-        Pencil { origin: Some(origin), shares, levels, colours }
+        let opening = waves.filter(|w| w.model == Model::Approximate).and_then(|w| {
+            let (l, pupil) = w.opening(table, map, point)?;
+            let nm = &table.spec.wavelength_nm;
+            let mean = |weight: &Vec<f64>| {
+                let (sum, all) = weight.iter().zip(nm).fold((0.0, 0.0), |(s, a), (w, nm)| (s + w * nm, a + w));
+                if all > 0.0 { sum / all * 1e-6 } else { pupil.wavelength_mm }
+            };
+            let mean_mm = self.weight.iter().map(mean).collect();
+            Some(Opening { l, pupil: Box::new(pupil), mean_mm })
+        });
+        Pencil { origin: Some(origin), shares, levels, colours, opening }
     }
 
     /// The light of colours that were measured: this form's weights say which channel sees which. It has no pull-back.
@@ -190,7 +217,7 @@ impl KernelForm {
             (!fed.is_empty()).then_some(Colour { fed, light: Light::Rays(rays) })
         };
         let colours = colours.into_iter().enumerate().map(of).collect();
-        Pencil { origin: None, levels: vec![1.0; shares.len()], shares, colours }
+        Pencil { origin: None, levels: vec![1.0; shares.len()], shares, colours, opening: None }
     }
 
     /// Writes the fine kernels of all channels at the point of `pencil`'s radius along `outward`, `[channel][row][col]` on the
@@ -217,7 +244,54 @@ impl KernelForm {
             };
             fed.iter().for_each(|(c, s)| outside[*c] += s * missed);
         }
+        if let Some((opening, convolution)) = self.convolution(pencil, outward) {
+            let planes = out.chunks_exact_mut(self.raster.len()).zip(&opening.mean_mm);
+            for ((plane, mean_mm), outside) in planes.zip(&mut outside) {
+                let all = plane.iter().sum::<f64>() + *outside;
+                convolution.convolve(plane, *mean_mm);
+                *outside = all - plane.iter().sum::<f64>();
+                let even = self.put_back(*outside);
+                plane.iter_mut().for_each(|v| *v += even);
+            }
+        }
         (outside, figures)
+    }
+
+    /// What kernels of rays are convolved with.
+    fn convolution<'a>(&self, pencil: &'a Pencil, outward: [f64; 2]) -> Option<(&'a Opening, Convolution)> {
+        let opening = pencil.opening.as_ref()?;
+        Some((opening, Convolution::new(&opening.pupil, outward, self.raster, self.cell_mm)?))
+    }
+
+    /// Pulls the cotangents `bar` of convolved kernels back to those of the rays' own, and adds what the open pupil gets of them.
+    fn convolved_vjp(
+        &self,
+        pencil: &Pencil,
+        (opening, convolution): (&Opening, &Convolution),
+        outward: [f64; 2],
+        bar: &[f64],
+        to: &mut PencilBar,
+    ) -> Vec<f64> {
+        let len = self.raster.len();
+        let mut rays = vec![0.0; self.channels() * len];
+        for Colour { fed, light } in pencil.colours.iter().flatten() {
+            let moves = light.rays().map(|rays| rays.moves(outward, self.cell_mm));
+            moves.into_iter().for_each(|moves| {
+                self.raster.splat(&mut rays, fed, moves);
+            });
+        }
+        let (mut pulled, mut open) = (bar.to_vec(), convolution.no_bar());
+        let planes = pulled.chunks_exact_mut(len).zip(rays.chunks_exact(len)).zip(&opening.mean_mm);
+        for ((bar, rays), mean_mm) in planes {
+            // What is put back: of all light, less what the window has.
+            let mean = self.put_back(bar.iter().sum());
+            bar.iter_mut().for_each(|b| *b -= mean);
+            convolution.convolve_vjp(rays, *mean_mm, bar, &mut open);
+        }
+        if let Some(bars) = &mut to.opening {
+            convolution.open_vjp(&opening.pupil, &open, bars);
+        }
+        pulled
     }
 
     /// Adds a wavelength's kernel by diffraction to the planes that it feeds; returns the shares of light outside the window and spread evenly.
@@ -270,6 +344,9 @@ impl KernelForm {
 
     /// Adds the pull-back of cotangents on [`Self::kernels`] to that of the pencil.
     pub(crate) fn kernels_vjp(&self, pencil: &Pencil, outward: [f64; 2], bar: &[f64], to: &mut PencilBar) {
+        let convolution = self.convolution(pencil, outward);
+        let of_rays = convolution.map(|(o, c)| self.convolved_vjp(pencil, (o, &c), outward, bar, to));
+        let bar = of_rays.as_deref().unwrap_or(bar);
         for (l, colour) in pencil.colours.iter().enumerate() {
             let Some(Colour { fed, light }) = colour else { continue };
             let rays = match light {
@@ -314,6 +391,9 @@ impl KernelForm {
                 continue;
             };
             systems.push((l, waves.vjp(map, l, (pupil, bars), &mut map_bar)));
+        }
+        if let (Some(Opening { l, pupil, .. }), Some(bars), Some(waves)) = (&pencil.opening, &bar.opening, waves) {
+            systems.push((*l, waves.vjp(map, *l, (pupil, bars), &mut map_bar)));
         }
         let mut back = KernelBar { origin, irradiance: vec![0.0; pencil.colours.len()], map: map_bar, systems };
         // share = w E / Σ w E.

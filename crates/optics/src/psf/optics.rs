@@ -27,6 +27,7 @@ use rayon::prelude::*;
 use super::illumination::{Illumination, IlluminationBar};
 use super::kernel::{KernelBar, KernelForm, Pencil, PencilBar};
 use super::measured::{Falloff, MeasuredPsf};
+use super::model::Model;
 use super::point::SensorPoint;
 use super::rays::Rays;
 use super::sensor_map::SensorMap;
@@ -61,8 +62,8 @@ pub struct OpticsSpec {
     pub degree: usize,
     /// Radii of the illumination, less one.
     pub illuminations: u32,
-    /// Whether kernels are made by diffraction; else of rays.
-    pub diffraction: bool,
+    /// By what kernels are made.
+    pub diffraction: Model,
 }
 
 impl OpticsSpec {
@@ -74,7 +75,7 @@ impl OpticsSpec {
     /// `intervals` of it.
     fn knots(intervals: u32, radius_mm: f64, vergences: Vec<f64>, quadrature: Quadrature) -> Self {
         let radii_mm = (0..=intervals).map(|i| radius_mm * f64::from(i) / f64::from(intervals)).collect();
-        Self { radii_mm, vergences, quadrature, degree: 9, illuminations: 256, diffraction: false }
+        Self { radii_mm, vergences, quadrature, degree: 9, illuminations: 256, diffraction: Model::Rays }
     }
 }
 
@@ -203,7 +204,7 @@ impl Optics {
         let maps = spec.vergences.iter().map(|v| SensorMap::fit(lens, &table, *v)).collect::<Result<_>>()?;
         let diffraction = spec.diffraction;
         let optics = Self { spec, maps, beams: Beams::Traced { table: Box::new(table), illumination, waves: None } };
-        if diffraction { optics.diffracting(lens) } else { Ok(optics) }
+        optics.diffracting(lens, diffraction)
     }
 
     /// What was measured on a camera in place of a lens: kernels, how light falls off, and where on the sensor an object's slope is seen, in
@@ -218,7 +219,7 @@ impl Optics {
             // No rays, no polynomials.
             degree: 1,
             illuminations: 0,
-            diffraction: false,
+            diffraction: Model::Rays,
         };
         Self { spec, maps: vec![map], beams: Beams::Measured { psf, light, pitch_mm } }
     }
@@ -250,15 +251,23 @@ impl Optics {
         self.traced().1
     }
 
-    /// The same with kernels by diffraction of `lens`, which it was traced of.
+    /// The same with kernels made by `model` of `lens`, which it was traced of. What was measured stays as it is.
     ///
     /// # Errors
     /// As [`Self::compute`].
-    pub fn diffracting(mut self, lens: &Lens) -> Result<Self> {
-        let made = self.made_of(lens, &DEGREES)?;
-        if let Beams::Traced { waves, .. } = &mut self.beams {
-            *waves = Some(Box::new(made));
-            self.spec.diffraction = true;
+    pub fn diffracting(mut self, lens: &Lens, model: Model) -> Result<Self> {
+        let degrees = match model {
+            Model::Rays => return Ok(self.of_rays()),
+            // Its paths are not asked for.
+            Model::Approximate => &DEGREES[..1],
+            Model::Waves => &DEGREES[..],
+        };
+        if matches!(self.beams, Beams::Traced { .. }) {
+            let made = self.made_of(lens, model, degrees)?;
+            if let Beams::Traced { waves, .. } = &mut self.beams {
+                *waves = Some(Box::new(made));
+                self.spec.diffraction = model;
+            }
         }
         Ok(self)
     }
@@ -270,12 +279,12 @@ impl Optics {
     /// As [`Self::compute`].
     #[doc(hidden)]
     pub fn look_at_bending(&self, lens: &Lens) -> Result<[f64; 2]> {
-        let looked = self.made_of(lens, &DEGREES[..1])?;
+        let looked = self.made_of(lens, Model::Waves, &DEGREES[..1])?;
         Ok([looked.bend_mm(), looked.path_waves()])
     }
 
-    fn made_of(&self, lens: &Lens, degrees: &[usize]) -> Result<Waves> {
-        Waves::of(lens, (self.table(), &self.maps), self.illumination().lit_mm(), degrees)
+    fn made_of(&self, lens: &Lens, model: Model, degrees: &[usize]) -> Result<Waves> {
+        Waves::of(lens, model, (self.table(), &self.maps), self.illumination().lit_mm(), degrees)
     }
 
     /// The same with kernels of rays.
@@ -285,7 +294,7 @@ impl Optics {
         if let Beams::Traced { waves, .. } = &mut self.beams {
             *waves = None;
         }
-        self.spec.diffraction = false;
+        self.spec.diffraction = Model::Rays;
         self
     }
 
@@ -301,10 +310,10 @@ impl Optics {
         self.waves().map_or(0, |w| w.making_bytes(size, cell_mm))
     }
 
-    /// Largest path difference over a pupil, wavelengths, as far as was looked; 0 where kernels are made of rays.
+    /// Largest path difference over a pupil, wavelengths, as far as was looked; 0 where kernels are not made by waves.
     #[doc(hidden)]
     pub fn path_waves(&self) -> f64 {
-        self.waves().map_or(0.0, Waves::path_waves)
+        self.waves().filter(|w| w.model == Model::Waves).map_or(0.0, Waves::path_waves)
     }
 
     /// What makes kernels by diffraction; nothing where rays do.
@@ -392,7 +401,7 @@ impl Optics {
         }
     }
 
-    fn pencil(&self, form: &KernelForm, depth: usize, point: SensorPoint) -> Pencil {
+    pub(super) fn pencil(&self, form: &KernelForm, depth: usize, point: SensorPoint) -> Pencil {
         match &self.beams {
             Beams::Traced { table, illumination, waves } => {
                 form.pencil(table, illumination, &self.maps[depth], point, waves.as_deref())

@@ -9,7 +9,7 @@
 //! interpolates over sensor radii would have to be known to 1e-7 of a millimetre. `raster` makes amplitudes of them along the sensor's rows and columns, `cell` the shares
 //! that edges leave open, `transform` a kernel: the power spectrum, times the transforms of pixel and scene sample, at the places of the kernel's raster. The raster's step of
 //! `λ` over a period makes the kernel repeat with that period; light beyond it is folded back into it. Cells of the raster that an edge cuts have the share of their area as
-//! amplitude; what that takes away is light far out, and is spread evenly over the period.
+//! amplitude; what that takes away is light far out, and is spread evenly over the period. `point_spread` has the same before pixel and scene sample: Strehl ratio and encircled energy.
 //!
 //! All of it has its pull-back: from a kernel's cotangent to the polynomials, to the rays, to every number of the lens.
 //!
@@ -18,13 +18,16 @@
 mod cell;
 mod fitted;
 mod functions;
+mod open;
 mod outside;
+mod point_spread;
 mod pupil;
 mod raster;
 mod transform;
 
 use rayon::prelude::*;
 
+use super::model::Model;
 use super::point::SensorPoint;
 use super::sensor_map::SensorMap;
 use super::splat::Raster;
@@ -33,9 +36,11 @@ use crate::lens::Lens;
 use crate::trace::aim::SensorView;
 use crate::trace::{System, SystemGradient};
 use isoplanat_base::error::Result;
-use isoplanat_base::math::memory::threads;
+use isoplanat_base::math::memory::{product, threads};
 use pupil::{PATH_WAVES, Pulled, Shared};
 
+pub(super) use open::{Open, OpenBar};
+pub use point_spread::{PointSpread, Untold};
 pub use pupil::Pupil;
 
 /// Degrees of the polynomials that are tried in turn, until paths are told.
@@ -72,6 +77,8 @@ impl WaveFigures {
 /// A lens whose kernels are made by diffraction.
 #[derive(Clone, Debug)]
 pub struct Waves {
+    /// By what kernels are made.
+    pub(super) model: Model,
     views: Vec<SensorView>,
     shared: Shared,
     /// `λ/NA` at the narrowest pupil that was looked at, the longest wavelength, mm; the largest path difference over one, the shortest wavelength.
@@ -124,6 +131,7 @@ impl Waves {
     /// A lens without light on the axis.
     pub(super) fn of(
         lens: &Lens,
+        model: Model,
         (table, maps): (&Table, &[SensorMap]),
         farthest_mm: f64,
         degrees: &[usize],
@@ -149,7 +157,7 @@ impl Waves {
                 (shared, least) = (finer, left);
             }
         }
-        let mut made = Self { views, shared, bend_mm: 0.0, path_waves: 0.0, looked_at: Vec::new(), finer: 1.0 };
+        let mut made = Self { model, views, shared, bend_mm: 0.0, path_waves: 0.0, looked_at: Vec::new(), finer: 1.0 };
         let longest = (0..nm.len()).max_by(|a, b| nm[*a].total_cmp(&nm[*b])).unwrap_or(0);
         for share in LOOKED_AT {
             for map in maps {
@@ -168,17 +176,31 @@ impl Waves {
 
     /// Bytes, from above, that kernels of `size` cells of `cell_mm` a side take while they are made, on all threads.
     pub(super) fn making_bytes(&self, size: usize, cell_mm: f64) -> u64 {
+        if self.model == Model::Approximate {
+            // A transform less than twice as wide as the window, its spectrum, its cotangent.
+            let transform = product(&[2 * size, 2 * size, 64]);
+            return Open::bytes().saturating_add(transform).saturating_mul(threads() as u64);
+        }
         let told = self.looked_at.iter().filter(|p| p.is_told(cell_mm));
         #[expect(clippy::cast_precision_loss, reason = "from above")]
         let most = told.map(|p| p.bytes(size as f64 * cell_mm)).max().unwrap_or(0);
-        #[expect(
-            clippy::cast_possible_truncation,
-            clippy::cast_sign_loss,
-            clippy::cast_precision_loss,
-            reason = "from above"
-        )]
-        let most = (most as f64 * self.finer).ceil() as u64;
-        most.saturating_mul(threads() as u64)
+        self.of_shortest(most).saturating_mul(threads() as u64)
+    }
+
+    /// Bytes, from above, that one point spread takes.
+    pub(super) fn point_spread_most(&self) -> u64 {
+        self.of_shortest(self.looked_at.iter().map(|p| PointSpread::bytes([p].into_iter())).max().unwrap_or(0))
+    }
+
+    /// Bytes of the shortest wavelength's rasters for those of the longest's.
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        clippy::cast_precision_loss,
+        reason = "from above"
+    )]
+    fn of_shortest(&self, bytes: u64) -> u64 {
+        (bytes as f64 * self.finer).ceil() as u64
     }
 
     pub(super) fn bend_mm(&self) -> f64 {
@@ -187,6 +209,15 @@ impl Waves {
 
     pub(super) fn path_waves(&self) -> f64 {
         self.path_waves
+    }
+
+    /// The pupil at `point` whose opening bends light of all wavelengths, and its wavelength's number: the middle one.
+    pub(super) fn opening(&self, table: &Table, map: &SensorMap, point: SensorPoint) -> Option<(usize, Pupil)> {
+        let nm = &table.spec.wavelength_nm;
+        let mean = nm.iter().sum::<f64>() / nm.len() as f64;
+        let off = |l: &usize| (nm[*l] - mean).abs();
+        let middle = (0..nm.len()).min_by(|a, b| off(a).total_cmp(&off(b)))?;
+        Some((middle, self.pupil_of(table, map, middle, point)?))
     }
 
     pub(super) fn pupil_of(&self, table: &Table, map: &SensorMap, l: usize, point: SensorPoint) -> Option<Pupil> {

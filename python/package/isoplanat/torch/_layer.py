@@ -77,6 +77,8 @@ class LensLayer(Placed, Numbers):
         Names or patterns of the lens's numbers, such as "surface[*].curvature" or "surface[2].a4".
     illuminant : str, optional
         As of `isoplanat.render`.
+    diffraction : "off", "approximate" or "on"
+        Kernels of rays; of rays, convolved with the open pupil's diffraction; of scalar waves.
     replan_every : int
         After so many forward passes in training, kernels are laid out anew for the lens as it is by then. Scenes are placed before the lens as it is at every
         pass, as ``isoplanat design`` places them; the gradient is that of scenes and kernels that stay where they are. 0: all stays where it is, as a function of the numbers
@@ -99,9 +101,10 @@ class LensLayer(Placed, Numbers):
         distances_mm: float | Sequence[float] | None = None,
         trainable: str | Sequence[str] = ("surface[*].curvature",),
         illuminant: str | None = None,
+        diffraction: str = "off",
         replan_every: int = 25,
     ) -> None:
-        core = Layer(lens, frame, distances_mm, trainable, illuminant)
+        core = Layer(lens, frame, distances_mm, trainable, illuminant, diffraction=diffraction)
         super().__init__(core.names, core.values, replan_every)
         self._core = core
         self._valid = self._planned

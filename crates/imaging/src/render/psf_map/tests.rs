@@ -37,7 +37,7 @@ fn filters_and_multipliers_are_the_renderers_picture() {
             node_error: 0.005,
             outside: LOST,
             cells: LARGEST,
-            diffraction: false,
+            diffraction: Model::Rays,
         };
         let renderer = Renderer::planned(&lens, &frame, &density(), &[vergence], settings).expect("traces");
         assert_eq!(map.grid.as_ref(), Some(&renderer.plan.depths[0].grid));

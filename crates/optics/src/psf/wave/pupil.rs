@@ -11,10 +11,11 @@ use super::super::table::beam::{self, Bases, Beam, NodeBars};
 use super::cell::TOLD;
 use super::fitted::{Bars, Fitted};
 use super::functions::{CLIPS, PATH, PupilFunctions};
-use super::outside::{beyond, beyond_vjp};
+use super::outside::Plane;
 use super::raster::{Field, Sampling};
 use super::transform::{Reading, Spectrum};
 use crate::lens::Lens;
+use crate::lens::paraxial::first_order;
 use crate::trace::SystemGradient;
 use crate::trace::aim::SensorView;
 use isoplanat_base::error::Result;
@@ -38,13 +39,16 @@ pub(super) struct Shared {
     pub(super) bases: Bases,
     /// Part of the stop's radius that the unit disk stands for.
     pub(super) pupil: f64,
+    /// How far behind the first vertex the paraxial entrance pupil lies, mm.
+    entrance: f64,
 }
 
 impl Shared {
     pub(super) fn new(lens: &Lens, views: &[SensorView], degree: usize) -> Result<Self> {
         let bases = Bases::new(degree);
         let pupil = beam::pupil(views, &bases).map_err(|f| super::super::table::failed(lens, 0.0, f))?;
-        Ok(Self { bases, pupil })
+        let entrance = first_order(lens, lens.wavelengths.primary_nm).entrance_pupil_position;
+        Ok(Self { bases, pupil, entrance })
     }
 }
 
@@ -95,13 +99,14 @@ impl Pupil {
         let basis = shared.bases.of(beam.part);
         let (ratio, growth) = (map.ratio(radius_mm), map.derivative(radius_mm));
         let (u, v) = (DVec2::new(0.0, map.slope(radius_mm)), map.vergence);
+        let plane = Plane::new(shared.entrance, v);
         let image = view.system.image();
         let index = view.system.surfaces[image].index_after;
         let count = beam.nodes.len();
         let mean = beam.nodes.iter().map(|n| n.path).sum::<f64>() / count as f64;
         let (mut tau, mut path) = (Vec::with_capacity(count), Vec::with_capacity(count));
         for node in &beam.nodes {
-            let (far, t) = beyond(u, v, node.ray.entrance);
+            let (far, t) = plane.path(u, v, node.ray.entrance, node.ray.slope);
             tau.push(index * DVec2::new(ratio, growth) * t);
             path.push(node.path - mean + index * far);
         }
@@ -194,6 +199,26 @@ impl Pupil {
         self.made(outward, raster, cell_mm, out).map_or(0.0, |made| made.field.lost / made.field.light)
     }
 
+    /// As [`Self::kernel`], of `times` its period and so as many times the samples across the pupil: for measuring what they leave open.
+    #[doc(hidden)]
+    pub fn kernel_of_period(
+        &self,
+        times: f64,
+        outward: [f64; 2],
+        (raster, cell_mm): (Raster, f64),
+        out: &mut [f64],
+    ) -> f64 {
+        let period = times * self.period(raster.size as f64 * cell_mm);
+        let made = self.made_at(Sampling::new(&self.functions, outward, period), raster, cell_mm, out);
+        made.map_or(0.0, |made| made.field.lost / made.field.light)
+    }
+
+    /// Samples across the pupil's larger side for a kernel of a window of this side.
+    #[doc(hidden)]
+    pub fn samples_across(&self, window_mm: f64) -> f64 {
+        2.0 * self.aperture_half() * self.period(window_mm) / self.wavelength_mm
+    }
+
     /// As [`Self::kernel`], with what the pull-back needs; nothing, and a kernel of zeros, where no light is.
     pub(super) fn made(&self, outward: [f64; 2], raster: Raster, cell_mm: f64, out: &mut [f64]) -> Option<Made> {
         let period = self.period(raster.size as f64 * cell_mm);
@@ -230,17 +255,20 @@ impl Pupil {
         let image = view.system.image();
         let index = view.system.surfaces[image].index_after;
         let (mut u_bar, mut scales_bar, mut index_bar) = (DVec2::ZERO, DVec2::ZERO, 0.0);
-        let mut entrance: [Vec<f64>; 2] = Default::default();
+        let plane = Plane::new(shared.entrance, v);
+        let (mut entrance, mut slope): ([Vec<f64>; 2], [Vec<f64>; 2]) = Default::default();
         for (j, node) in beam.nodes.iter().enumerate() {
-            let e = node.ray.entrance;
-            let (far, t) = beyond(u, v, e);
+            let (e, m) = (node.ray.entrance, node.ray.slope);
+            let (far, t) = plane.path(u, v, e, m);
             let scales = DVec2::new(ratio, growth);
             scales_bar += index * tau[j] * t;
             index_bar += far * even[PATH][j] + (tau[j] * scales).dot(t);
-            let (by_u, by_e) = beyond_vjp(u, v, e, index * even[PATH][j], index * scales * tau[j]);
-            u_bar += by_u;
-            entrance[0].push(by_e.x);
-            entrance[1].push(by_e.y);
+            let back = plane.path_vjp((u, v), e, m, index * even[PATH][j], index * scales * tau[j]);
+            u_bar += back.u;
+            for (to, by) in [(&mut entrance, back.entrance), (&mut slope, back.slope)] {
+                to[0].push(by.x);
+                to[1].push(by.y);
+            }
         }
         map.local_vjp(radius_mm, [u_bar.y, scales_bar.x, scales_bar.y], to.map);
         to.system.indices[image + 1] += index_bar;
@@ -249,8 +277,7 @@ impl Pupil {
         let cosines = [odd.next().unwrap_or_default(), even.next().unwrap_or_default()];
         // The stop's points are held.
         let clips = clips.iter().copied().zip(even.skip(1)).collect();
-        let none = || vec![0.0; paths.len()];
-        let bars = NodeBars { cosines, entrance, slope: [none(), none()], clips, paths };
+        let bars = NodeBars { cosines, entrance, slope, clips, paths };
         beam.nodes_vjp(view, &shared.bases.of(beam.part), &bars, to.system);
     }
 
@@ -262,13 +289,23 @@ impl Pupil {
     }
 
     /// Smallest period that the blur asks for, mm: beside it there is room, and edges' light that lands far from them, at the blur's other side, is told.
-    fn least(&self) -> f64 {
+    pub(super) fn least(&self) -> f64 {
         (2.0 * self.reach_mm + self.margin()).max(self.reach_mm / TOLD)
+    }
+
+    /// The largest displacement of a ray, mm.
+    pub(super) fn reach_mm(&self) -> f64 {
+        self.reach_mm
+    }
+
+    /// How far light bends, mm: `λ/NA` of the narrower side.
+    pub(super) fn bend_mm(&self) -> f64 {
+        self.wavelength_mm / self.narrowest().max(1e-9)
     }
 
     /// What is left around a kernel, mm.
     fn margin(&self) -> f64 {
-        MARGIN * self.wavelength_mm / self.narrowest().max(1e-9)
+        MARGIN * self.bend_mm()
     }
 
     /// Largest period, mm.
@@ -280,9 +317,13 @@ impl Pupil {
     /// not enter derivatives.
     pub(super) fn period(&self, window_mm: f64) -> f64 {
         let wanted = (window_mm + self.margin()).max(self.least());
-        let wanted = wanted.clamp(ACROSS[0] / ACROSS[1] * self.most(), self.most());
-        ((wanted.log2() * STEPS).ceil() / STEPS).exp2()
+        stepped(wanted.clamp(ACROSS[0] / ACROSS[1] * self.most(), self.most()))
     }
+}
+
+/// The next of the steps that periods go by, so many to an octave.
+pub(super) fn stepped(wanted: f64) -> f64 {
+    ((wanted.log2() * STEPS).ceil() / STEPS).exp2()
 }
 
 /// Half the sides of the box around the rays that no aperture stops and their mirror images; a tenth of all where a box of rays is less.

@@ -178,6 +178,15 @@ impl PupilFunctions {
 
     /// The field on a raster.
     pub(super) fn field(&self, sampling: &Sampling) -> Field {
+        self.field_of(sampling, true)
+    }
+
+    /// The field on a raster as it would be without path differences.
+    pub(super) fn open_field(&self, sampling: &Sampling) -> Field {
+        self.field_of(sampling, false)
+    }
+
+    fn field_of(&self, sampling: &Sampling, aberrated: bool) -> Field {
         let way = Way::new(self, sampling);
         let [lx, ly] = [Along::X, Along::Y].map(|of| way.raster(self.odd(ODD_COSINE), of));
         let [mx, my] = [Along::X, Along::Y].map(|of| way.raster(self.even(COSINE), of));
@@ -210,16 +219,25 @@ impl PupilFunctions {
         }
         let (rows, cols) = (rows.0.min(rows.1)..rows.1, cols.0.min(cols.1)..cols.1);
         let wave = TAU / self.wavelength_mm;
-        let path = way.raster(self.even(PATH), Along::Value);
+        let path = aberrated.then(|| way.raster(self.even(PATH), Along::Value));
         let mut amplitude = Array2::from_elem((rows.len(), cols.len()), Complex::new(0.0, 0.0));
         for ((i, j), a) in amplitude.indexed_iter_mut() {
             let at = [i + rows.start, j + cols.start];
             if sharp[at] != 0.0 {
-                *a = Complex::from_polar(density[at].sqrt(), wave * path[at]) * sharp[at];
+                let phase = path.as_ref().map_or(0.0, |path| wave * path[at]);
+                *a = Complex::from_polar(density[at].sqrt(), phase) * sharp[at];
             }
         }
         let corner = [rows.start, cols.start];
         Field { amplitude, light, lost, way, corner, slopes, density, sign, stop, edges, inside, shares, sharp }
+    }
+
+    /// Mean of the path's slopes along columns and rows, by light: how far rays move light, mm.
+    pub(super) fn mean_slope(&self, field: &Field) -> DVec2 {
+        let light = &field.density * &field.shares;
+        let all = light.sum();
+        let mean = |of| (&field.way.raster(self.even(PATH), of) * &light).sum() / all;
+        DVec2::new(mean(Along::X), mean(Along::Y))
     }
 
     /// What is positive inside every edge: the rim, the border of what is known, clear apertures by the height over their radius in place of its square, whose edges
@@ -310,5 +328,10 @@ impl Field {
     /// Rows or columns of the open part, whichever are more.
     pub(super) fn across(&self) -> usize {
         self.amplitude.nrows().max(self.amplitude.ncols())
+    }
+
+    /// Sum of the amplitudes as they are without path differences.
+    pub(super) fn undisturbed(&self) -> f64 {
+        self.density.iter().zip(&self.sharp).map(|(d, s)| d.sqrt() * s).sum()
     }
 }

@@ -1,0 +1,100 @@
+//! Kernels of rays convolved with the diffraction of the open pupil.
+//!
+//! A kernel's raster is transformed, multiplied by the transfer function of the pupil without its path differences at the channel's mean wavelength, and transformed back. What
+//! the open pupil sends farther than the transform is wide is folded back into it.
+
+use glam::DVec2;
+use ndarray::{Array2, ArrayView2, s};
+
+use super::splat::Raster;
+use super::wave::{Open, OpenBar, Pupil, PupilBars};
+use isoplanat_base::math::fft::{RealFft2, good_size};
+
+/// How many `λ/NA` light goes that is not folded back, unless that is more than the window.
+const FAR: f64 = 20.0;
+
+/// The convolution of kernels of one form by the diffraction of one open pupil.
+pub(super) struct Convolution {
+    open: Open,
+    fft: RealFft2<f64>,
+    side: usize,
+    n: usize,
+    fine_mm: f64,
+}
+
+impl Convolution {
+    /// By `pupil` along `outward`; nothing where it has no light.
+    pub(super) fn new(pupil: &Pupil, outward: [f64; 2], raster: Raster, cell_mm: f64) -> Option<Self> {
+        let open = pupil.open(outward)?;
+        let (side, fine_mm) = (raster.side(), cell_mm / raster.samples as f64);
+        let far = FAR * pupil.wavelength_mm / (pupil.narrowest().max(1e-9) * fine_mm);
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a count, bounded")]
+        let n = good_size(side + far.ceil().min(side as f64) as usize);
+        Some(Self { open, fft: RealFft2::shared(n, n), side, n, fine_mm })
+    }
+
+    /// What `f` has at every frequency of the half spectrum, `[column, row]`, with the displacements it is asked at and how often the whole spectrum has it.
+    fn each(&self, wavelength_mm: f64, mut f: impl FnMut([usize; 2], &[DVec2], f64)) {
+        let (n, step) = (self.n, wavelength_mm / (self.n as f64 * self.fine_mm));
+        let signed = |i: usize| if 2 * i <= n { i as f64 } else { i as f64 - n as f64 };
+        for j in 0..=n / 2 {
+            let often = if j == 0 || 2 * j == n { 1.0 } else { 2.0 };
+            for i in 0..n {
+                let at = step * DVec2::new(signed(j), signed(i));
+                // The highest frequency stands for both signs.
+                let both = [at, DVec2::new(-at.x, at.y)];
+                let count = if 2 * j == n || 2 * i == n { 2 } else { 1 };
+                f([j, i], &both[..count], often);
+            }
+        }
+    }
+
+    fn transfer(&self, wavelength_mm: f64) -> Array2<f64> {
+        let mut transfer = Array2::zeros((self.n / 2 + 1, self.n));
+        self.each(wavelength_mm, |at, places, _| {
+            transfer[at] = places.iter().map(|p| self.open.at(*p)).sum::<f64>() / places.len() as f64;
+        });
+        transfer
+    }
+
+    fn view<'a>(&self, plane: &'a [f64]) -> ArrayView2<'a, f64> {
+        ArrayView2::from_shape((self.side, self.side), plane).expect("a plane of the raster")
+    }
+
+    fn write(&self, spectrum: Array2<rustfft::num_complex::Complex<f64>>, plane: &mut [f64]) {
+        let made = self.fft.inverse(spectrum, 0, self.side);
+        let made = made.slice(s![.., ..self.side]);
+        plane.iter_mut().zip(made.iter()).for_each(|(p, v)| *p = *v);
+    }
+
+    /// Convolves a plane of kernels of rays, which are of a channel of this mean wavelength.
+    pub(super) fn convolve(&self, plane: &mut [f64], wavelength_mm: f64) {
+        let mut spectrum = self.fft.forward(self.view(plane));
+        spectrum.zip_mut_with(&self.transfer(wavelength_mm), |s, t| *s *= *t);
+        self.write(spectrum, plane);
+    }
+
+    /// Turns the cotangent `bar` of what [`Self::convolve`] made of `plane` into that of `plane`, and adds what the transfer function gets of it to `to`.
+    pub(super) fn convolve_vjp(&self, plane: &[f64], wavelength_mm: f64, bar: &mut [f64], to: &mut OpenBar) {
+        let rays = self.fft.forward(self.view(plane));
+        let mut spectrum = self.fft.forward(self.view(bar));
+        let scale = ((self.n * self.n) as f64).recip();
+        self.each(wavelength_mm, |at, places, often| {
+            let count = places.len() as f64;
+            let bar = (spectrum[at].conj() * rays[at]).re * often * scale / count;
+            // The open pupil's diffraction is even: the convolution is its own transpose.
+            spectrum[at] *= places.iter().map(|p| self.open.at_with_vjp(*p, bar, to)).sum::<f64>() / count;
+        });
+        self.write(spectrum, bar);
+    }
+
+    /// Zero cotangents of the transfer function.
+    pub(super) fn no_bar(&self) -> OpenBar {
+        self.open.no_bar()
+    }
+
+    /// Adds the pull-back of cotangents on the transfer function to that of the pupil it is of.
+    pub(super) fn open_vjp(&self, pupil: &Pupil, bar: &OpenBar, to: &mut PupilBars) {
+        pupil.open_vjp(&self.open, bar, to);
+    }
+}
