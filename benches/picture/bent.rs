@@ -10,6 +10,7 @@ use isoplanat::imaging::render::node_grid::NodeGrid;
 use isoplanat::imaging::render::{Channels, Diffraction, PlanOptions, Renderer, Request, ScenePlan, Settings, plan};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::lens::Aperture;
+use isoplanat::psf::Model;
 use ndarray::{Array3, s};
 
 use super::cases::{Case, place};
@@ -76,7 +77,7 @@ pub(crate) fn table(count: usize) -> String {
                     (picture, clock.elapsed().as_secs_f64())
                 };
                 let ((picture, seconds), (of_rays, seconds_off)) = (timed(&auto), timed(&off));
-                let fine = Settings { diffraction: true, ..Settings::FINE };
+                let fine = Settings { diffraction: Model::Waves, ..Settings::FINE };
                 let vergence = [case.scene.vergence];
                 let mut judge =
                     Renderer::planned(&case.lens, &case.frame, &case.density, &vergence, fine).expect("traces");
@@ -94,7 +95,11 @@ pub(crate) fn table(count: usize) -> String {
                     count += 27.0;
                 }
                 let [found, rays] = squares.map(|v| -10.0 * (v / count).log10());
-                let bent = if auto.renderer.optics.spec.diffraction { "yes" } else { "no" };
+                let bent = match auto.renderer.optics.spec.diffraction {
+                    Model::Rays => "no",
+                    Model::Approximate => "approximate",
+                    Model::Waves => "yes",
+                };
                 if auto.holds {
                     misses.push(ASKED_DB - found);
                 }

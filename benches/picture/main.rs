@@ -5,10 +5,12 @@
 //! quick` does so with one photograph a lens (six for
 //! `--min-psnr-db`); `-- chosen` and `-- chosen quick` print what `--min-psnr-db` holds and costs; `-- planning` prints what planning takes beside
 //! ten pictures, and a picture's gradient beside the picture; `-- bent` judges pictures by diffraction of six lenses at
-//! three stops (24 photographs from `../shared` beside a street and a grey frame; `-- bent quick` without).
+//! three stops (24 photographs from `../shared` beside a street and a grey frame; `-- bent quick` without); `-- kits` judges the shipped large-field cameras with
+//! diffraction in their captures and without.
 
 mod bent;
 mod cases;
+mod kit;
 mod planning;
 mod tables;
 
@@ -38,6 +40,10 @@ fn main() {
     }
     if arguments.iter().any(|a| a == "bent") {
         println!("{}", bent::table(if arguments.iter().any(|a| a == "quick") { 0 } else { 24 }));
+        return;
+    }
+    if arguments.iter().any(|a| a == "kits") {
+        kit::print(if arguments.iter().any(|a| a == "quick") { 3 } else { 24 });
         return;
     }
     if arguments.iter().any(|a| a == "planning") {

@@ -4,7 +4,7 @@ use glam::DVec2;
 use isoplanat::lens::{Lens, builtin};
 use isoplanat::psf::splat::Raster;
 use isoplanat::psf::table::{Adapted, Tolerance};
-use isoplanat::psf::{KernelForm, Optics, OpticsBar, OpticsSpec, Quadrature, SensorPoint};
+use isoplanat::psf::{KernelForm, Model, Optics, OpticsBar, OpticsSpec, Quadrature, SensorPoint};
 use isoplanat::trace::aim::{Aimer, SceneRayBar, SensorView};
 use isoplanat::trace::sequential::first_vignetted;
 use isoplanat::trace::sequential::trace;
@@ -70,7 +70,7 @@ impl Case {
         let v = self.lens.object_vergence;
         let nm = &quadrature.nm;
         let radii_mm = Adapted::compute(&self.lens, v, nm, degree, self.radius_mm, tolerance).expect("traces").radii_mm;
-        OpticsSpec { radii_mm, vergences: vec![v], quadrature, degree, illuminations: 192, diffraction: false }
+        OpticsSpec { radii_mm, vergences: vec![v], quadrature, degree, illuminations: 192, diffraction: Model::Rays }
     }
 
     pub(crate) fn optics(&self, degree: usize) -> Optics {

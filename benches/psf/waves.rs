@@ -3,8 +3,7 @@
 use std::time::Instant;
 
 use isoplanat::lens::{Aperture, builtin};
-use isoplanat::psf::wave::Waves;
-use isoplanat::psf::{KernelForm, Optics, OpticsBar, OpticsSpec, Quadrature, SensorPoint};
+use isoplanat::psf::{KernelForm, Model, Optics, OpticsBar, OpticsSpec, Quadrature, SensorPoint};
 
 use super::cases::pool;
 
@@ -31,14 +30,13 @@ pub(crate) fn print() {
         let weight = (0..3).map(|c| (0..3).map(|l| f64::from(u8::from(c == l))).collect()).collect();
         let quadrature = Quadrature { nm: vec![470.0, 550.0, 620.0], weight };
         let spec = OpticsSpec::even(radius_mm, vec![lens.object_vergence], quadrature);
-        let optics = Optics::compute(&lens, &spec).and_then(|o| o.diffracting(&lens)).expect("traces");
-        let waves = Waves::new(&lens, &optics).expect("traces");
+        let optics = Optics::compute(&lens, &spec).and_then(|o| o.diffracting(&lens, Model::Waves)).expect("traces");
         let points: Vec<SensorPoint> =
             (0..16u32).map(|k| SensorPoint::along([0.6, 0.8], radius_mm * f64::from(k) / 16.0)).collect();
         for size in SIZES {
             let form = KernelForm { keeps_light: true, ..optics.form(400, size, 1, pitch_mm) };
             let len = form.channels() * form.raster.len();
-            let pupil = waves.pupil(&optics, 0, 0, points[8]).expect("light");
+            let pupil = optics.pupil(0, 0, points[8]).expect("light");
             let pool = pool(2);
             let timed = |f: &(dyn Fn() + Sync)| {
                 pool.install(f);

@@ -36,6 +36,7 @@ mod gradients;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod guided;
 mod hostile;
+mod kernel_edges;
 mod layering;
 mod lens_files;
 mod lenses;
