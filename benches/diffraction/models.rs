@@ -61,6 +61,9 @@ fn exact(case: &Case, form: &KernelForm, point: SensorPoint) -> (Vec<f64>, usize
     (sum, 0)
 }
 
+/// What stops show.
+type Line = Vec<(f64, Seen)>;
+
 /// Errors of the peak and of all, and milliseconds, of a model at a pitch: the worst place and the mean time.
 #[derive(Clone, Copy)]
 struct Seen {
@@ -125,7 +128,7 @@ pub(crate) fn print() {
                 .into_iter()
                 .zip(&lines)
                 .flat_map(|(m, lines)| PITCHES.into_iter().zip(lines).map(move |l| (m.0, l)));
-            let one = |(model, (pitch, line)): (&str, (f64, &Vec<(f64, Seen)>))| {
+            let one = |(model, (pitch, line)): (&str, (f64, &Line))| {
                 // Where both are of rays there is nothing to see.
                 let told = line.iter().filter(|(_, seen)| !seen.geometric);
                 let points = told.map(|at| [x(at), at.1.errors[0]]).collect();

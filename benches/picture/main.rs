@@ -10,6 +10,7 @@
 
 mod bent;
 mod cases;
+#[cfg(feature = "deploy")]
 mod kit;
 mod planning;
 mod tables;
@@ -42,6 +43,7 @@ fn main() {
         println!("{}", bent::table(if arguments.iter().any(|a| a == "quick") { 0 } else { 24 }));
         return;
     }
+    #[cfg(feature = "deploy")]
     if arguments.iter().any(|a| a == "kits") {
         kit::print(if arguments.iter().any(|a| a == "quick") { 3 } else { 24 });
         return;
