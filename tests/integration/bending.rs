@@ -103,6 +103,8 @@ fn what_pixels_hide_is_left_out() {
     let left = auto.skips.iter().find(|s| s.what == "diffraction").expect("told");
     assert!(left.bound > 0.0 && left.bound < 3.2e-3, "{}", left.bound);
     assert!(off.skips.iter().all(|s| s.what != "diffraction"), "what was asked for lacks nothing");
+    let asked = planned(&lens, &frame, &scene, Request::Psnr(40.0), Diffraction::Approximate);
+    assert!(asked.skips.iter().all(|s| !s.what.starts_with("diffraction")), "nor does an approximation");
     let on = planned(&lens, &frame, &scene, Request::Psnr(40.0), Diffraction::On);
     let (a, b) = (picture(&auto, &scene), picture(&on, &scene));
     let rms = 10f64.powf(-0.05 * decibel(&a, &b));

@@ -66,7 +66,8 @@ pub fn plan(
         (_, how) => how,
     };
     let bent = draft.bent(lens, lit, (how, target))?;
-    let left_out = bent.as_ref().filter(|b| b.model != Model::Waves).map(|b| b.left_out);
+    // What was asked for lacks nothing.
+    let left_out = bent.as_ref().filter(|b| how == Diffraction::Auto && b.model != Model::Waves).map(|b| b.left_out);
     let draft = match bent.as_ref().and_then(|b| b.light.as_ref()) {
         Some(light) => draft.bending(lens, light.bending_mm(), request == Request::Everything)?,
         None => draft,
