@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 use std::sync::Arc;
 
-use ndarray::{Array2, ArrayView2};
+use ndarray::{Array2, ArrayView2, Axis};
 use realfft::{ComplexToReal, FftNum, RealFftPlanner, RealToComplex};
 use rustfft::num_complex::Complex;
 use rustfft::{Fft, FftPlanner};
@@ -21,6 +21,9 @@ pub struct RealFft2<T: FftNum> {
 
 /// Half spectrum, stored transposed: `[column frequency, row frequency]`, so that both passes run over rows.
 pub(crate) type Spectrum<T> = Array2<Complex<T>>;
+
+/// Rows that are turned to columns at a time: a cache line of each column is met once.
+const TILE: usize = 8;
 
 impl<T: FftNum> RealFft2<T> {
     /// Plans for `rows × cols`, both at least 1.
@@ -44,14 +47,19 @@ impl<T: FftNum> RealFft2<T> {
         let half = self.cols / 2 + 1;
         let mut out = Array2::from_elem((half, self.rows), Complex::new(T::zero(), T::zero()));
         let mut line = self.forward_rows.make_input_vec();
-        let mut freq = self.forward_rows.make_output_vec();
+        let mut lines = vec![Complex::new(T::zero(), T::zero()); TILE * half];
         let mut scratch = self.forward_rows.make_scratch_vec();
-        for (i, row) in image.outer_iter().enumerate() {
-            line.fill(T::zero());
-            line.iter_mut().zip(row).for_each(|(a, b)| *a = *b);
-            self.forward_rows.process_with_scratch(&mut line, &mut freq, &mut scratch).expect("planned lengths");
-            for (j, f) in freq.iter().enumerate() {
-                out[[j, i]] = *f;
+        let columns = out.as_slice_mut().expect("standard layout");
+        for (tile, some) in image.axis_chunks_iter(Axis(0), TILE).enumerate() {
+            for (row, freq) in some.outer_iter().zip(lines.chunks_exact_mut(half)) {
+                line.fill(T::zero());
+                line.iter_mut().zip(row).for_each(|(a, b)| *a = *b);
+                self.forward_rows.process_with_scratch(&mut line, freq, &mut scratch).expect("planned lengths");
+            }
+            let (first, count) = (TILE * tile, some.nrows());
+            for (j, column) in columns.chunks_exact_mut(self.rows).enumerate() {
+                let to = &mut column[first..first + count];
+                to.iter_mut().zip(lines.iter().skip(j).step_by(half)).for_each(|(to, from)| *to = *from);
             }
         }
         let slice = out.as_slice_mut().expect("standard layout");
@@ -72,21 +80,26 @@ impl<T: FftNum> RealFft2<T> {
         let mut scratch = vec![Complex::new(T::zero(), T::zero()); self.inverse_cols.get_inplace_scratch_len()];
         self.inverse_cols.process_with_scratch(slice, &mut scratch);
         let mut out = Array2::from_elem((count, self.cols), T::zero());
-        let mut freq = self.inverse_rows.make_input_vec();
+        let half = self.cols / 2 + 1;
+        let mut lines = vec![Complex::new(T::zero(), T::zero()); TILE * half];
         let mut line = self.inverse_rows.make_output_vec();
         let mut scratch = self.inverse_rows.make_scratch_vec();
-        for (i, mut row) in out.outer_iter_mut().enumerate() {
-            for (j, f) in freq.iter_mut().enumerate() {
-                *f = spectrum[[j, first + i]];
+        let columns = spectrum.as_slice().expect("standard layout");
+        for (tile, mut some) in out.axis_chunks_iter_mut(Axis(0), TILE).enumerate() {
+            let (first, count) = (first + TILE * tile, some.nrows());
+            for (j, column) in columns.chunks_exact(self.rows).enumerate() {
+                let from = &column[first..first + count];
+                lines.iter_mut().skip(j).step_by(half).zip(from).for_each(|(to, from)| *to = *from);
             }
-            // The imaginary parts of the two real lines are rounding; realfft refuses them otherwise.
-            freq[0].im = T::zero();
-            if self.cols.is_multiple_of(2) {
-                let last = freq.len() - 1;
-                freq[last].im = T::zero();
+            for (mut row, freq) in some.outer_iter_mut().zip(lines.chunks_exact_mut(half)) {
+                // The imaginary parts of the two real lines are rounding; realfft refuses them otherwise.
+                freq[0].im = T::zero();
+                if self.cols.is_multiple_of(2) {
+                    freq[half - 1].im = T::zero();
+                }
+                self.inverse_rows.process_with_scratch(freq, &mut line, &mut scratch).expect("planned lengths");
+                row.iter_mut().zip(&line).for_each(|(a, b)| *a = *b);
             }
-            self.inverse_rows.process_with_scratch(&mut freq, &mut line, &mut scratch).expect("planned lengths");
-            row.iter_mut().zip(&line).for_each(|(a, b)| *a = *b);
         }
         out
     }

@@ -3,8 +3,7 @@
 //! A kernel's raster is transformed, multiplied by the transfer function of the pupil without its path differences at the channel's mean wavelength, and transformed back. What
 //! the open pupil sends farther than the transform is wide is folded back into it.
 
-use glam::DVec2;
-use ndarray::{Array2, ArrayView2, s};
+use ndarray::{Array2, ArrayView2, Zip, s};
 
 use super::splat::Raster;
 use super::wave::{Open, OpenBar, Pupil, PupilBars};
@@ -33,28 +32,14 @@ impl Convolution {
         Some(Self { open, fft: RealFft2::shared(n, n), side, n, fine_mm })
     }
 
-    /// What `f` has at every frequency of the half spectrum, `[column, row]`, with the displacements it is asked at and how often the whole spectrum has it.
-    fn each(&self, wavelength_mm: f64, mut f: impl FnMut([usize; 2], &[DVec2], f64)) {
-        let (n, step) = (self.n, wavelength_mm / (self.n as f64 * self.fine_mm));
-        let signed = |i: usize| if 2 * i <= n { i as f64 } else { i as f64 - n as f64 };
-        for j in 0..=n / 2 {
-            let often = if j == 0 || 2 * j == n { 1.0 } else { 2.0 };
-            for i in 0..n {
-                let at = step * DVec2::new(signed(j), signed(i));
-                // The highest frequency stands for both signs.
-                let both = [at, DVec2::new(-at.x, at.y)];
-                let count = if 2 * j == n || 2 * i == n { 2 } else { 1 };
-                f([j, i], &both[..count], often);
-            }
-        }
+    /// The transfer function at the frequencies of the half spectrum, `[column, row]`, for a channel of this mean wavelength.
+    fn transfer(&self, wavelength_mm: f64) -> Array2<f64> {
+        self.open.transfer(self.n, self.step(wavelength_mm))
     }
 
-    fn transfer(&self, wavelength_mm: f64) -> Array2<f64> {
-        let mut transfer = Array2::zeros((self.n / 2 + 1, self.n));
-        self.each(wavelength_mm, |at, places, _| {
-            transfer[at] = places.iter().map(|p| self.open.at(*p)).sum::<f64>() / places.len() as f64;
-        });
-        transfer
+    /// What one frequency displaces the pupil.
+    fn step(&self, wavelength_mm: f64) -> f64 {
+        wavelength_mm / (self.n as f64 * self.fine_mm)
     }
 
     fn view<'a>(&self, plane: &'a [f64]) -> ArrayView2<'a, f64> {
@@ -78,13 +63,19 @@ impl Convolution {
     pub(super) fn convolve_vjp(&self, plane: &[f64], wavelength_mm: f64, bar: &mut [f64], to: &mut OpenBar) {
         let rays = self.fft.forward(self.view(plane));
         let mut spectrum = self.fft.forward(self.view(bar));
+        let mut transfer = self.transfer(wavelength_mm);
         let scale = ((self.n * self.n) as f64).recip();
-        self.each(wavelength_mm, |at, places, often| {
-            let count = places.len() as f64;
-            let bar = (spectrum[at].conj() * rays[at]).re * often * scale / count;
-            // The open pupil's diffraction is even: the convolution is its own transpose.
-            spectrum[at] *= places.iter().map(|p| self.open.at_with_vjp(*p, bar, to)).sum::<f64>() / count;
-        });
+        for (j, mut column) in transfer.outer_iter_mut().enumerate() {
+            // How often the whole spectrum has it.
+            let often = if j == 0 || 2 * j == self.n { scale } else { 2.0 * scale };
+            Zip::from(&mut column).and(&mut spectrum.row_mut(j)).and(&rays.row(j)).for_each(|t, bar, rays| {
+                let of = (bar.conj() * rays).re * often;
+                // The open pupil's diffraction is even: the convolution is its own transpose.
+                *bar *= *t;
+                *t = of;
+            });
+        }
+        self.open.transfer_vjp(self.n, self.step(wavelength_mm), &transfer, to);
         self.write(spectrum, bar);
     }
 

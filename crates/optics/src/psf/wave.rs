@@ -16,6 +16,7 @@
 //! Scalar theory: no polarisation, no diffraction between the surfaces.
 
 mod cell;
+mod correlation;
 mod fitted;
 mod functions;
 mod open;

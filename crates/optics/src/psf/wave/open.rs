@@ -4,12 +4,14 @@
 //! of the same sides, which has the cone at its middle in closed form.
 
 use std::f64::consts::FRAC_2_PI;
+use std::ops::Range;
 
 use glam::DVec2;
 use ndarray::{Array2, s};
 use rustfft::num_complex::Complex;
 
 use super::PupilBars;
+use super::correlation::{autocorrelation, spectrum};
 use super::pupil::{Pupil, stepped};
 use super::raster::{Field, Sampling};
 use isoplanat_base::math::fft::{fft_rows, good_size};
@@ -23,7 +25,7 @@ pub(in crate::psf) struct Open {
     field: Field,
     /// Transform of the amplitudes, `[column, row]`.
     spectrum: Array2<Complex<f64>>,
-    /// The transfer function less the ellipse's at steps of the raster along rows and columns, negative ones at the end.
+    /// The transfer function less the ellipse's at steps of the raster, `[column, row]`, negative ones at the end.
     rest: Array2<f64>,
     /// Sides of the ellipse, along columns and rows.
     ellipse: DVec2,
@@ -42,8 +44,13 @@ fn round(part: f64) -> f64 {
 /// Places that [`round`] is told at: between them the line is within 1e-5.
 const TOLD: usize = 1024;
 
-/// The four lattice points around a place, each with its weight.
-struct Corners([(usize, usize, f64); 4]);
+/// Two lattice points around a place along one axis, and how far it is from the first to the second.
+#[derive(Clone, Copy)]
+struct Between {
+    low: usize,
+    high: usize,
+    part: f64,
+}
 
 impl Pupil {
     /// The transfer function of this pupil's aperture; nothing where no light is.
@@ -56,22 +63,14 @@ impl Pupil {
         }
         let (rows, cols) = field.amplitude.dim();
         let n = good_size(2 * field.across().max(1) - 1);
-        let mut lines = Array2::from_elem((rows, n), Complex::new(0.0, 0.0));
-        lines.slice_mut(s![.., ..cols]).assign(&field.amplitude);
-        fft_rows(&mut lines, true);
-        let mut spectrum = Array2::from_elem((n, n), Complex::new(0.0, 0.0));
-        spectrum.slice_mut(s![.., ..rows]).assign(&lines.t());
-        fft_rows(&mut spectrum, true);
-        let mut all = spectrum.mapv(|v| Complex::new(v.norm_sqr(), 0.0));
-        fft_rows(&mut all, false);
-        let mut all = all.t().as_standard_layout().into_owned();
-        fft_rows(&mut all, false);
+        let spectrum = spectrum(&field.amplitude, n);
+        let all = autocorrelation(spectrum.clone(), n);
         let unit = sampling.step * sampling.step / ((n * n) as f64 * field.light);
         // The box of the open part, as an ellipse's sides would be.
         let ellipse = sampling.step * DVec2::new(cols as f64 - 1.0, rows as f64 - 1.0).max(DVec2::ONE);
         let round = (0..=TOLD + 1).map(|k| round(k as f64 / TOLD as f64)).collect();
         let mut open = Open { sampling, field, spectrum, rest: Array2::zeros((n, n)), ellipse, round };
-        let rest = Array2::from_shape_fn((n, n), |(i, j)| {
+        let rest = Array2::from_shape_fn((n, n), |(j, i)| {
             unit * all[[i, j]].re - open.ellipse_at(open.sampling.step * DVec2::new(signed(j, n), signed(i, n)))
         });
         open.rest = rest;
@@ -84,11 +83,11 @@ impl Pupil {
         let unit = open.sampling.step.powi(2) / ((n * n) as f64 * field.light);
         // T = unit · IFFT |FFT a|², and the light in `unit`.
         let mut values = 0.0;
-        for ((i, j), b) in bar.0.indexed_iter().filter(|(_, b)| **b != 0.0) {
+        for ((j, i), b) in bar.0.indexed_iter().filter(|(_, b)| **b != 0.0) {
             let at = open.sampling.step * DVec2::new(signed(j, n), signed(i, n));
-            values += b * (open.rest[[i, j]] + open.ellipse_at(at));
+            values += b * (open.rest[[j, i]] + open.ellipse_at(at));
         }
-        let mut power = bar.0.mapv(|b| Complex::new(unit * b, 0.0));
+        let mut power = bar.0.t().mapv(|b| Complex::new(unit * b, 0.0)).as_standard_layout().into_owned();
         fft_rows(&mut power, true);
         let mut power = power.t().as_standard_layout().into_owned();
         fft_rows(&mut power, true);
@@ -110,36 +109,89 @@ fn signed(i: usize, n: usize) -> f64 {
 
 impl Open {
     fn ellipse_at(&self, at: DVec2) -> f64 {
-        let place = (at / self.ellipse).length() * TOLD as f64;
+        self.round_at((at / self.ellipse).length_squared())
+    }
+
+    /// [`round`] by the square of its place.
+    fn round_at(&self, square: f64) -> f64 {
+        let place = square.sqrt() * TOLD as f64;
         if place >= TOLD as f64 {
             return 0.0;
         }
-        let part = place.fract();
-        let of = &self.round[place as usize..];
+        let low = place as usize;
+        let part = place - low as f64;
+        let of = &self.round[low..];
         of[0] + part * (of[1] - of[0])
     }
 
-    /// Where a displacement (columns, rows) lies on the lattice; nothing where no light has it.
-    fn corners(&self, at: DVec2) -> Option<Corners> {
+    /// Where a displacement along one axis lies on the lattice; nothing where no light has it.
+    fn between(&self, at: f64) -> Option<Between> {
         let (at, n) = (at / self.sampling.step, self.rest.nrows());
-        let far = n as f64 / 2.0 - 1.0;
-        if at.x.abs() >= far || at.y.abs() >= far {
+        if at.abs() >= n as f64 / 2.0 - 1.0 {
             return None;
         }
         let low = at.floor();
-        let part = at - low;
         let index = |v: f64| (v as isize).rem_euclid(n.cast_signed()).cast_unsigned();
-        let [(i, y), (j, x)] = [(low.y, part.y), (low.x, part.x)];
-        let (i, j) = ([index(i), index(i + 1.0)], [index(j), index(j + 1.0)]);
-        let (y, x) = ([1.0 - y, y], [1.0 - x, x]);
-        Some(Corners([0, 1, 2, 3].map(|k| (i[k / 2], j[k % 2], y[k / 2] * x[k % 2]))))
+        Some(Between { low: index(low), high: index(low + 1.0), part: at - low })
     }
 
     /// The transfer function at a displacement along columns and rows: `λ` times a frequency.
+    #[cfg(test)]
     pub(in crate::psf) fn at(&self, displacement: DVec2) -> f64 {
-        let Some(Corners(corners)) = self.corners(displacement) else { return 0.0 };
-        let rest: f64 = corners.iter().map(|(i, j, w)| w * self.rest[[*i, *j]]).sum();
-        rest + self.ellipse_at(displacement)
+        let Some(line) = self.line(displacement.x) else { return 0.0 };
+        self.between(displacement.y).map_or(0.0, |y| y.of(&line) + self.ellipse_at(displacement))
+    }
+
+    /// The lattice's values at a displacement along columns, by rows.
+    fn line(&self, x: f64) -> Option<Vec<f64>> {
+        let x = self.between(x)?;
+        let (low, high) = (self.rest.row(x.low), self.rest.row(x.high));
+        Some(low.iter().zip(high).map(|(low, high)| (1.0 - x.part) * low + x.part * high).collect())
+    }
+
+    /// Displacements along rows of the frequencies of `n` lines: where they lie on the lattice, and the squares of their parts of the ellipse.
+    fn rows(&self, n: usize, step: f64) -> Vec<(Option<Between>, f64)> {
+        let of = |i: usize| {
+            let y = step * signed(i, n);
+            (self.between(y), (y / self.ellipse.y).powi(2))
+        };
+        (0..n).map(of).collect()
+    }
+
+    /// The transfer function at the frequencies of the half spectrum of `n × n` values (even), `[column, row]`, a frequency's displacement being `step`.
+    pub(in crate::psf) fn transfer(&self, n: usize, step: f64) -> Array2<f64> {
+        let rows = self.rows(n, step);
+        let mut transfer = Array2::zeros((n / 2 + 1, n));
+        for Frequencies { j, sign, rows: some } in frequencies(n) {
+            let x = step * signed(j, n);
+            let Some(line) = self.line(sign * x) else { continue };
+            let (x, mut to) = ((x / self.ellipse.x).powi(2), transfer.row_mut(j));
+            for i in some {
+                if let (Some(y), square) = rows[i] {
+                    to[i] += share(n, [j, i]) * (y.of(&line) + self.round_at(x + square));
+                }
+            }
+        }
+        transfer
+    }
+
+    /// Adds the pull-back of a cotangent on [`Self::transfer`].
+    pub(in crate::psf) fn transfer_vjp(&self, n: usize, step: f64, bar: &Array2<f64>, to: &mut OpenBar) {
+        let rows = self.rows(n, step);
+        for Frequencies { j, sign, rows: some } in frequencies(n) {
+            let Some(x) = self.between(sign * step * signed(j, n)) else { continue };
+            let (bar, mut line) = (bar.row(j), vec![0.0; self.rest.nrows()]);
+            for i in some {
+                if let (Some(y), _) = rows[i] {
+                    let bar = share(n, [j, i]) * bar[i];
+                    line[y.low] += (1.0 - y.part) * bar;
+                    line[y.high] += y.part * bar;
+                }
+            }
+            for (index, part) in [(x.low, 1.0 - x.part), (x.high, x.part)] {
+                to.0.row_mut(index).iter_mut().zip(&line).for_each(|(t, v)| *t += part * v);
+            }
+        }
     }
 
     /// Zero cotangents.
@@ -147,20 +199,36 @@ impl Open {
         OpenBar(Array2::zeros(self.rest.dim()))
     }
 
-    /// [`Self::at`]; adds the pull-back of a cotangent on it.
-    pub(in crate::psf) fn at_with_vjp(&self, displacement: DVec2, bar: f64, to: &mut OpenBar) -> f64 {
-        let Some(Corners(corners)) = self.corners(displacement) else { return 0.0 };
-        let mut rest = 0.0;
-        for (i, j, w) in corners {
-            to.0[[i, j]] += w * bar;
-            rest += w * self.rest[[i, j]];
-        }
-        rest + self.ellipse_at(displacement)
-    }
-
     /// Bytes, from above, that one takes with its pull-back.
     pub(in crate::psf) fn bytes() -> u64 {
         let side = good_size(2 * (1.5 * ACROSS) as usize + 24) as u64;
         side * side * 200
     }
+}
+
+impl Between {
+    fn of(self, line: &[f64]) -> f64 {
+        (1.0 - self.part) * line[self.low] + self.part * line[self.high]
+    }
+}
+
+/// Frequencies of one column of a half spectrum, with the sign that its displacement is taken with.
+struct Frequencies {
+    j: usize,
+    sign: f64,
+    rows: Range<usize>,
+}
+
+/// All frequencies of the half spectrum of `n × n` values: the highest ones with both signs.
+fn frequencies(n: usize) -> impl Iterator<Item = Frequencies> {
+    let half = n / 2;
+    (0..=half).flat_map(move |j| {
+        let both = if j == half { 0..n } else { half..half + 1 };
+        [Frequencies { j, sign: 1.0, rows: 0..n }, Frequencies { j, sign: -1.0, rows: both }]
+    })
+}
+
+/// Share that a sign has of a frequency.
+fn share(n: usize, [j, i]: [usize; 2]) -> f64 {
+    if 2 * j == n || 2 * i == n { 0.5 } else { 1.0 }
 }
