@@ -11,14 +11,21 @@ use isoplanat_imaging::sensor::spectrum::SpectralDensity;
 use isoplanat_optics::lens::Lens;
 use isoplanat_optics::psf::Model;
 
-/// Peak signal-to-noise ratio that pictures of rays are to hold, dB: that of a promise where nothing is asked.
-const HELD_DB: f64 = 45.0;
+/// What pictures may lack of diffraction, dB: as much as pictures are promised to be off by where nothing is asked.
+const LEFT_DB: f64 = 45.0;
 
-/// What `task` says; in the place of `auto`, what a few of its patches tell at each of `depths_mm`, or at the lens's own distance where there are none.
+/// What `task` says; in the place of `auto`, what a few of its patches tell at each of `depths_mm`, or at the lens's own distance where there are none. A lens that
+/// `moves` can become sharp: of rays are its pictures where a perfect lens of its pupil shows nothing else.
 ///
 /// # Errors
 /// A lens that cannot be rendered.
-pub(super) fn settled(task: &Task, lens: &Lens, textures: &Textures, depths_mm: &[f64]) -> Result<Diffraction> {
+pub(super) fn settled(
+    task: &Task,
+    lens: &Lens,
+    moves: bool,
+    textures: &Textures,
+    depths_mm: &[f64],
+) -> Result<Diffraction> {
     if task.pictures.diffraction != Diffraction::Auto {
         return Ok(task.pictures.diffraction);
     }
@@ -33,9 +40,10 @@ pub(super) fn settled(task: &Task, lens: &Lens, textures: &Textures, depths_mm: 
     for map in &renderer.optics.maps {
         let drawn = |i| textures.numbered((task.seed ^ 0x6265_6e74, i), &places, &frame, map, 0).scene;
         let scenes: Vec<Plane> = (0..JUDGED.0 as u64).map(drawn).collect();
-        match enough_diffraction(lens, &scenes, &frame, &density, HELD_DB)? {
-            Model::Rays => {}
-            Model::Approximate => enough = Diffraction::Approximate,
+        let needed = enough_diffraction(lens, &scenes, &frame, &density, LEFT_DB)?;
+        match needed.model {
+            Model::Rays if !(moves && needed.bends) => {}
+            Model::Rays | Model::Approximate => enough = Diffraction::Approximate,
             Model::Waves => return Ok(Diffraction::On),
         }
     }

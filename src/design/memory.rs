@@ -11,6 +11,7 @@ use super::task::Task;
 use isoplanat_base::error::Result;
 use isoplanat_base::math::memory::{BASE, product, threads};
 use isoplanat_imaging::guide::{Filters, Inputs};
+use isoplanat_imaging::render::Diffraction;
 use isoplanat_imaging::scene::photos::Photos;
 use isoplanat_network::UnetConfig;
 
@@ -34,6 +35,14 @@ fn textures(task: &Task) -> Result<u64> {
 /// Bytes of Wiener filters, from above: as stored, as computed with, and while they are made.
 fn guide(inputs: Inputs) -> u64 {
     3 * Filters::LARGEST * inputs.banks() as u64
+}
+
+/// Bytes of kernels that are convolved with an open pupil's diffraction, while the widest are made on all threads.
+fn bending(task: &Task) -> u64 {
+    match task.pictures.diffraction {
+        Diffraction::Off => 0,
+        _ => product(&[threads(), 800, 800, 64]),
+    }
 }
 
 fn sum(parts: &[u64]) -> u64 {
@@ -66,6 +75,7 @@ fn of_part(task: &Task) -> Result<u64> {
     let cuts = product(&[task.pictures.batch, task.pictures.depths_mm.len().max(1), cut, cut, 3 * size_of::<f32>()]);
     let each = REGION + RECORD * task.network.inputs.banks();
     let patches = product(&[count.max(threads()), seen, seen, each]).max(judged).saturating_add(cuts);
+    let patches = patches.saturating_add(bending(task));
     let step = network.step_bytes(task.pictures.patch_px, batch);
     let (count, side) =
         if task.pictures.keep_first > 0 { (task.pictures.keep_first.min(24), LARGEST) } else { (8, TEXTURE) };
@@ -82,7 +92,7 @@ fn of_part(task: &Task) -> Result<u64> {
 pub fn of_training(task: &Task) -> Result<u64> {
     let t = &task.train;
     let network = t.config()?;
-    let pairs = product(&[threads(), t.pairs.region_px, t.pairs.region_px, REGION]);
+    let pairs = product(&[threads(), t.pairs.region_px, t.pairs.region_px, REGION]).saturating_add(bending(task));
     let pixels = product(&[t.pairs.batch, t.pairs.patch_px, t.pairs.patch_px, size_of::<f32>()]);
     // Two discriminators on two pictures: features of layers that halve both sides, kept for the way back; their weights with
     // moments. VGG-19 as far as conv3_3, on two pictures.

@@ -27,6 +27,7 @@ use crate::design::subject::Subject;
 use isoplanat_base::atomic;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::calibrate::lens::MeasuredLens;
+use isoplanat_imaging::render::Diffraction;
 use isoplanat_imaging::sensor::Sensor;
 use isoplanat_optics::analysis::fabrication::tolerances::Tolerances;
 use isoplanat_optics::interchange::{self, Reading};
@@ -45,8 +46,8 @@ pub use train::{TrainBudget, TrainLoss, TrainNetwork, TrainPairs, TrainTask};
 pub use groups::{Budget, FrameTask, LensTask, LossTask, NetworkTask, PictureTask, TaskSensor};
 pub use isoplanat_models::TASKS as SHIPPED;
 
-/// The form of task files that this program writes; it reads those of schema 1 as well.
-pub(crate) const SCHEMA: u32 = 2;
+/// The form of task files that this program writes; it reads those of schemas 1 and 2 as well, whose pictures are of rays where they say nothing of diffraction.
+pub(crate) const SCHEMA: u32 = 3;
 
 /// Bytes of a task at most.
 const LARGEST: u64 = 1 << 20;
@@ -58,7 +59,7 @@ const ALLOWED: &str = "the keys of models/README.md";
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Task {
-    /// Form of the file: 2.
+    /// Form of the file: 3.
     pub schema: u32,
     /// Seed of every draw.
     #[serde(default = "first")]
@@ -115,6 +116,11 @@ fn is_default(spec: &Spec) -> bool {
     *spec == Spec::default()
 }
 
+/// Whether a task's table says how diffraction enters its pictures.
+fn says_of_diffraction(table: &toml::Table) -> bool {
+    table.get("pictures").and_then(|p| p.get("diffraction")).is_some()
+}
+
 /// Puts a value under its dotted key.
 fn put(table: &mut toml::Table, key: &str, value: toml::Value) {
     match key.split_once('.') {
@@ -157,17 +163,24 @@ impl Task {
     /// A task from the text of a file of any schema that this program reads; paths stay as they are stated, values are not checked. `file` is named in errors.
     fn parse(text: &str, file: &str) -> Result<Self> {
         let table: toml::Table = toml::from_str(text).map_err(|e| Error::toml(file, text, &e, ALLOWED))?;
-        let (mut task, is_flat) = match table.get("schema") {
+        let (schema, says) = (table.get("schema").cloned(), says_of_diffraction(&table));
+        let (mut task, is_flat) = match schema {
             Some(toml::Value::Integer(1)) => (flat::parse(table, text, file)?, true),
-            Some(toml::Value::Integer(2)) => {
+            Some(toml::Value::Integer(2 | 3)) => {
                 flat::refuse_strays(&table, text, file)?;
                 (toml::from_str::<Self>(text).map_err(|e| Error::toml(file, text, &e, ALLOWED))?, false)
             }
             other => {
-                let found = other.map_or_else(|| "none".to_owned(), ToString::to_string);
-                return Err(Error::bad(file, "schema", found, "1 or 2"));
+                let found = other.map_or_else(|| "none".to_owned(), |v| v.to_string());
+                return Err(Error::bad(file, "schema", found, "1, 2 or 3"));
             }
         };
+        if task.schema < SCHEMA || is_flat {
+            task.schema = SCHEMA;
+            if !says {
+                task.pictures.diffraction = Diffraction::Off;
+            }
+        }
         task.origin = Origin { file: file.to_owned(), is_flat };
         Ok(task)
     }

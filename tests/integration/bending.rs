@@ -116,35 +116,54 @@ fn what_pixels_hide_is_left_out() {
     }
 }
 
-/// A task that leaves it to its scenes: the run's own task says what they told, fine pixels one thing and large ones another; other words are refused.
+/// A task that says nothing leaves it to its scenes: the run's own task says what they told, fine pixels one thing and large ones another; files of before stay with rays, other
+/// words are refused.
 #[cfg(feature = "train")]
 #[test]
 fn tasks_ask_their_scenes() {
     let place = Workplace::new();
-    let task = |said: &str, lens: &str, pitch_um: f64| {
+    let task = |schema: u32, said: &str, lens: &str, pitch_um: f64| {
         format!(
-            "schema = 2\n[lens]\nfile = \"{lens}\"\nwarm_start = false\n[pictures]\nscenes = 2\npatch_px = 32\nbatch = 1\ndiffraction = {said}\n\
+            "schema = {schema}\n[lens]\nfile = \"{lens}\"\nwarm_start = false\n[pictures]\nscenes = 2\npatch_px = 32\nbatch = 1\n{said}\n\
              [network]\nbase_width = 4\n[budget]\nsteps = 1\n[frame.raster]\ncolumns = 96\nrows = 64\npitch_um = {pitch_um}\n"
         )
     };
-    place.write("word.toml", task("\"maybe\"", "phone", 1.1));
-    place.run("design word.toml -o run").refused(&["word.toml", "line 9", "maybe", "auto"]);
-    for (name, lens, pitch_um, needed) in [("fine", "phone", 1.1, true), ("large", "two_element", 60.0, false)] {
-        place.write(&format!("{name}.toml"), task("\"auto\"", lens, pitch_um));
-        let said = place.run(&format!("design {name}.toml -o {name}")).done();
-        let told = ["by diffraction, ", "with the open pupil's diffraction, "];
-        assert_eq!(told.iter().any(|words| said.contains(words)), needed, "{said}");
+    let own = |name: &str| {
         let own = std::fs::read_to_string(place.path(name).join("task.toml")).expect("written");
-        assert_eq!(own.contains("diffraction = "), needed, "{own}");
-        assert!(!own.contains("auto"), "{own}");
+        assert!(own.contains("diffraction = ") && !own.contains("auto"), "{own}");
+        !own.contains("diffraction = false")
+    };
+    let bends = |told: &str| {
+        let words = ["by diffraction, ", "with the open pupil's diffraction, "];
+        words.iter().any(|words| told.contains(words))
+    };
+    place.write("word.toml", task(3, "diffraction = \"maybe\"", "phone", 1.1));
+    place.run("design word.toml -o run").refused(&["word.toml", "line 9", "maybe", "auto"]);
+    let auto = "diffraction = \"auto\"";
+    for (name, schema, said, lens, pitch_um, needed) in [
+        ("fine", 3, "", "phone", 1.1, true),
+        ("large", 3, "", "two_element", 60.0, false),
+        ("before", 2, "", "phone", 1.1, false),
+        ("asked", 2, auto, "phone", 1.1, true),
+    ] {
+        place.write(&format!("{name}.toml"), task(schema, said, lens, pitch_um));
+        let told = place.run(&format!("design {name}.toml -o {name}")).done();
+        assert_eq!(bends(&told), needed, "{name}: {told}");
+        assert_eq!(own(name), needed, "{name}");
         place.run(&format!("design --resume -o {name}")).done();
+    }
+    // A lens whose blur hides what bends may become sharp, unless it is held.
+    for (name, held, needed) in [("moves", "", true), ("held", "freeze = true\n", false)] {
+        let text = task(3, "", "two_element", 6.0).replace("warm_start", &format!("{held}warm_start"));
+        place.write(&format!("{name}.toml"), text);
+        place.run(&format!("design {name}.toml -o {name}")).done();
+        assert_eq!(own(name), needed, "{name}");
     }
     // In stages: the task of the run as a whole says it too, which is read where one goes on.
     let stages = "[[stages]]\n[stages.budget]\nsteps = 1\n[[stages]]\n[stages.budget]\nsteps = 1\n";
-    place.write("stages.toml", task("\"auto\"", "phone", 1.1) + stages);
+    place.write("stages.toml", task(3, auto, "phone", 1.1) + stages);
     place.run("design stages.toml -o stages").done();
-    let own = std::fs::read_to_string(place.path("stages").join("task.toml")).expect("written");
-    assert!(own.contains("diffraction = ") && !own.contains("auto"), "{own}");
+    assert!(own("stages"));
     let said = place.run("design --resume -o stages").done();
     assert!(!said.contains("of rays"), "{said}");
 }

@@ -282,7 +282,8 @@ impl Designing {
         let scenery =
             Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&problem.lens)?, seed: task.seed };
         let depths_mm = &task.pictures.depths_mm;
-        task.pictures.diffraction = bending::settled(&task, &problem.lens, &textures, depths_mm)?;
+        let moves = !task.lens.freeze;
+        task.pictures.diffraction = bending::settled(&task, &problem.lens, moves, &textures, depths_mm)?;
         let stage = Stage::new(&scenery, &problem, network, JointSettings::of(&task)?)?;
         let fill = |inside: &Path| {
             prescription::save(&prepared.start, &inside.join(START))?;

@@ -29,7 +29,7 @@ impl Task {
     /// The first value that is not allowed, by its key.
     pub fn check(&self, file: &str) -> Result<()> {
         let refusal = Refusal(file);
-        refusal.unless(self.schema == SCHEMA, "schema", self.schema, "1 or 2")?;
+        refusal.unless(self.schema == SCHEMA, "schema", self.schema, "1, 2 or 3")?;
         self.pictures.check(refusal)?;
         self.budget.check(refusal)?;
         self.train.check(refusal)?;

@@ -96,7 +96,6 @@ pub struct PictureTask {
     pub spread: Spread,
     /// Whether all pictures of the design and of its final network, and the filters of guided networks, are by diffraction (`true`), of rays (`false`), of rays convolved with
     /// the open pupil's diffraction (`"approximate"`), or as a few of its patches through the lens it starts from ask for (`"auto"`).
-    #[serde(skip_serializing_if = "Diffraction::is_off")]
     pub diffraction: Diffraction,
 }
 
@@ -182,7 +181,7 @@ impl Default for PictureTask {
             patch_px: 128,
             batch: 2,
             spread: Spread::default(),
-            diffraction: Diffraction::Off,
+            diffraction: Diffraction::Auto,
         }
     }
 }

@@ -31,11 +31,6 @@ pub enum Diffraction {
 }
 
 impl Diffraction {
-    /// Whether kernels are of rays, whatever pictures ask for.
-    pub fn is_off(&self) -> bool {
-        *self == Self::Off
-    }
-
     /// By what kernels are made, as far as that was said: of rays where it is left to pictures.
     #[doc(hidden)]
     pub fn stated(self) -> Model {
@@ -89,7 +84,7 @@ const FEW: f64 = 8.0;
 const WIDE: usize = 65;
 const FEWER: usize = 4;
 /// Share of the mean square error asked for that leaving diffraction out may make.
-const LEFT: f64 = 0.1;
+pub(super) const LEFT: f64 = 0.1;
 /// Largest half-width of the kernels that are compared, cells.
 const WIDEST: usize = 200;
 /// Largest cells of a perfect lens's kernels, `λ/NA`.
@@ -99,6 +94,8 @@ const LARGE: f64 = 16.0;
 pub(super) struct Bent {
     /// By what kernels are made.
     pub(super) model: Model,
+    /// Whether a lens of this pupil can lack more of diffraction than is allowed, however sharp it is.
+    pub(super) bends: bool,
     /// Mean square difference of pictures of rays, margin and standard error added; no number where it was not measured.
     pub(super) of_rays: f64,
     /// The same of what is left out: of [`Self::model`]; 0 where nothing is.
@@ -158,12 +155,12 @@ impl Draft<'_> {
         let narrow = Probing { size: 2 * sharp_half + 1, ..probing };
         let mut of_rays = 4.0 * seen(&narrow.between(&stands, &self.sharp(bend_mm, sharp_half)));
         let enough = LEFT * target;
-        let rays = |of_rays, bytes, candidates| {
+        let rays = |bends, of_rays, bytes, candidates| {
             let candidates = Some(candidates);
-            Bent { model: Model::Rays, of_rays, left_out: of_rays, bytes, light: None, candidates }
+            Bent { model: Model::Rays, bends, of_rays, left_out: of_rays, bytes, light: None, candidates }
         };
         if of_rays <= enough {
-            return Ok(Some(rays(of_rays, 0, candidates)));
+            return Ok(Some(rays(false, of_rays, 0, candidates)));
         }
         let waves = self.light.clone().diffracting(lens, Model::Waves)?;
         let bytes = waves.bending_bytes(probing.size, self.first.raster.pitch_mm);
@@ -176,27 +173,35 @@ impl Draft<'_> {
         };
         of_rays = off(probes.iter().map(|p| p.coarse.clone()).collect());
         if of_rays <= enough {
-            return Ok(Some(rays(of_rays, bytes, candidates)));
+            return Ok(Some(rays(true, of_rays, bytes, candidates)));
         }
-        let by_waves =
-            |waves| Bent { model: Model::Waves, of_rays, left_out: 0.0, bytes, light: Some(waves), candidates: None };
+        let by = |model, left_out, light| Bent {
+            model,
+            bends: true,
+            of_rays,
+            left_out,
+            bytes,
+            light: Some(light),
+            candidates: None,
+        };
         if path_waves <= FEW && probing.size > WIDE {
-            return Ok(Some(by_waves(waves)));
+            return Ok(Some(by(Model::Waves, 0.0, waves)));
         }
         let light = self.light.clone().diffracting(lens, Model::Approximate)?;
         let left_out = off(probing.each(&probes, |p| probing.through(p, &light, &form)));
         Ok(Some(if left_out <= enough {
-            Bent { model: Model::Approximate, of_rays, left_out, bytes, light: Some(light), candidates: None }
+            by(Model::Approximate, left_out, light)
         } else {
-            by_waves(waves)
+            by(Model::Waves, 0.0, waves)
         }))
     }
 
     /// What nobody looked at.
     fn stated(&self, lens: &Lens, model: Model) -> Result<Bent> {
-        let light = model.diffracts().then(|| self.light.clone().diffracting(lens, model)).transpose()?;
+        let bends = model.diffracts();
+        let light = bends.then(|| self.light.clone().diffracting(lens, model)).transpose()?;
         let left_out = if model == Model::Waves { 0.0 } else { f64::NAN };
-        Ok(Bent { model, of_rays: f64::NAN, left_out, bytes: 0, light, candidates: None })
+        Ok(Bent { model, bends, of_rays: f64::NAN, left_out, bytes: 0, light, candidates: None })
     }
 
     /// Kernels of a perfect lens of the narrowest pupil, by diffraction and of one ray, of half-width `half`; where cells are much larger than what bends, of smaller

@@ -1,6 +1,6 @@
 //! Planning: from lens and scenes to the settings that hold what is asked for.
 
-use super::bending::{Bent, Diffraction};
+use super::bending::{Bent, Diffraction, LEFT};
 use super::choose::{Choice, Ladders, bound, told};
 use super::coarse::cells;
 use super::draft::Draft;
@@ -101,7 +101,17 @@ pub fn lacking(lens: &Lens, scenes: &[Plane], frame: &Frame, density: &SpectralD
     Ok(looked(lens, scenes, frame, density, 0.0)?.map_or(0.0, |b| b.of_rays.sqrt()))
 }
 
-/// By what kernels are made that lack so little of diffraction that `held_db` is held by the rest, as a few places of `scenes` tell.
+/// What pictures need of diffraction.
+#[doc(hidden)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Needed {
+    /// The first model that lacks little enough of it.
+    pub model: Model,
+    /// Whether a sharper lens of this pupil can need more than rays.
+    pub bends: bool,
+}
+
+/// By what kernels are made that lack at most `left_db` of diffraction (mean square error against white), as a few places of `scenes` tell.
 ///
 /// # Errors
 /// As [`plan()`].
@@ -111,9 +121,11 @@ pub fn enough_diffraction(
     scenes: &[Plane],
     frame: &Frame,
     density: &SpectralDensity,
-    held_db: f64,
-) -> Result<Model> {
-    Ok(looked(lens, scenes, frame, density, 10f64.powf(-0.1 * held_db))?.map_or(Model::Rays, |b| b.model))
+    left_db: f64,
+) -> Result<Needed> {
+    let left = 10f64.powf(-0.1 * left_db);
+    let bent = looked(lens, scenes, frame, density, left / LEFT)?;
+    Ok(bent.map_or(Needed { model: Model::Rays, bends: false }, |b| Needed { model: b.model, bends: b.bends }))
 }
 
 /// What a few places of `scenes` tell of diffraction, where the mean square error `target` is asked for; nothing where no light is.
