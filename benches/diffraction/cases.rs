@@ -72,20 +72,23 @@ pub(crate) fn errors(found: &[f64], exact: &[f64]) -> [f64; 2] {
     [worst / peak, square(&mut found.iter().zip(exact).map(|(a, b)| a - b)) / norm]
 }
 
-/// Milliseconds of processor time of a piece of work on one thread: the median of nine runs, of three where one takes long. Processor time hardly sees what else the machine does.
+/// Milliseconds of processor time of a piece of work on one thread: the median of three times as many runs as a fifth of a second holds. Processor time hardly sees what else
+/// the machine does, but is counted in steps of some milliseconds.
 pub(crate) fn milliseconds(mut work: impl FnMut() + Send) -> f64 {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("starts");
     pool.install(|| {
+        let clock = Instant::now();
+        work();
+        let runs = (0.2 / clock.elapsed().as_secs_f64().max(1e-6)).ceil().max(1.0);
         let mut timed = || {
             let (clock, before) = (Instant::now(), processor());
-            work();
+            (0..runs as usize).for_each(|_| work());
             let wall = clock.elapsed().as_secs_f64();
-            1e3 * before.zip(processor()).map_or(wall, |(a, b)| b - a)
+            1e3 / runs * before.zip(processor()).map_or(wall, |(a, b)| b - a)
         };
-        let first = timed();
-        let mut all: Vec<f64> = (0..if first > 300.0 { 3 } else { 9 }).map(|_| timed()).collect();
+        let mut all = [timed(), timed(), timed()];
         all.sort_by(f64::total_cmp);
-        all[all.len() / 2]
+        all[1]
     })
 }
 

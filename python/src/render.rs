@@ -159,25 +159,16 @@ pub(crate) fn light(name: Option<&str>) -> PyResult<Illuminant> {
 
 /// How diffraction enters pictures, by name.
 fn bending(name: Option<&str>) -> PyResult<Diffraction> {
-    match name {
-        None | Some("auto") => Ok(Diffraction::Auto),
-        Some("on") => Ok(Diffraction::On),
-        Some("approximate") => Ok(Diffraction::Approximate),
-        Some("off") => Ok(Diffraction::Off),
-        Some(other) => {
-            Err(refused("diffraction", format!("{other:?}"), "\"on\", \"off\", \"approximate\" or \"auto\""))
-        }
-    }
+    let Some(name) = name.filter(|name| *name != "auto") else { return Ok(Diffraction::Auto) };
+    let wanted = "\"on\", \"off\", \"approximate\" or \"auto\"";
+    Model::from_name(name).map(Diffraction::from).ok_or_else(|| refused("diffraction", format!("{name:?}"), wanted))
 }
 
 /// By what a layer's kernels are made, by name: patches of a training do not decide it.
 pub(crate) fn model(name: Option<&str>) -> PyResult<Model> {
-    match name {
-        None | Some("off") => Ok(Model::Rays),
-        Some("approximate") => Ok(Model::Approximate),
-        Some("on") => Ok(Model::Waves),
-        Some(other) => Err(refused("diffraction", format!("{other:?}"), "\"off\", \"approximate\" or \"on\"")),
-    }
+    let Some(name) = name else { return Ok(Model::Rays) };
+    let wanted = "\"off\", \"approximate\" or \"on\"";
+    Model::from_name(name).ok_or_else(|| refused("diffraction", format!("{name:?}"), wanted))
 }
 
 /// `lens` with an object and a frame in place of its own.

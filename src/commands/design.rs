@@ -253,7 +253,7 @@ fn run_to_end(mut designing: Designing, options: RunOptions<'_>, out: &mut dyn W
             let frame = frame_of(&joint.lens)?;
             let scenery = Scenery { textures, sensor: &sensor, frame, seed: 77 };
             let guided = (&joint.network, &joint.guide);
-            let pictures = &designing.task().pictures;
+            let pictures = designing.task_now().pictures;
             let fineness = Settings { diffraction: pictures.diffraction.stated(), ..Settings::TRAINING };
             Some(validate(&scenery, &joint.lens, guided, pictures.patch_px, 48, fineness)?)
         }

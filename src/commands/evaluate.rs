@@ -181,12 +181,7 @@ impl Protocol {
 
 /// By what kernels of captures are made.
 fn model(text: &str) -> std::result::Result<Model, String> {
-    match text {
-        "off" => Ok(Model::Rays),
-        "approximate" => Ok(Model::Approximate),
-        "on" => Ok(Model::Waves),
-        _ => Err("off, approximate, on".to_owned()),
-    }
+    Model::from_name(text).ok_or_else(|| "off, approximate, on".to_owned())
 }
 
 /// A kind of built-in scene.

@@ -25,6 +25,7 @@ pub mod run;
 #[doc(hidden)]
 pub mod scenery;
 pub mod sensor_loss;
+mod settings;
 #[doc(hidden)]
 pub mod state;
 #[doc(hidden)]

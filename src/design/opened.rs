@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::bending;
 use super::bound::{Bound, agreed, guide_of};
 use super::folder::{MARKER, scenes_of};
 use super::subject::Subject;
@@ -9,11 +10,12 @@ use super::task::Task;
 use super::task::train::NETWORK;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::guide::Guide;
+use isoplanat_imaging::render::Diffraction;
 use isoplanat_network::Reconstructor;
 
 /// The folder of a design or of a training, read.
 pub struct Run {
-    /// What it was asked for.
+    /// What it was asked for; of a design that found out by itself what diffraction its pictures need, what its last ones had.
     pub task: Task,
     /// What stands before its sensor.
     pub subject: Subject,
@@ -29,15 +31,18 @@ impl Run {
     /// # Errors
     /// A folder that is no run; a design without a network (`sensor_loss`); files that are damaged; a lens or filters of another checkpoint.
     pub fn open(folder: &Path) -> Result<Self> {
-        let task = Task::load(&folder.join(MARKER))?;
+        let mut task = Task::load(&folder.join(MARKER))?;
         require_network(folder, &task)?;
-        let (subject, network, guide) = agreed(|| {
+        let (subject, network, guide, model) = agreed(|| {
             let (network, facts) = Reconstructor::result_of(&folder.join(NETWORK))?;
             let subject = Subject::of_run(folder)?;
             let (guide, filters) = guide_of(folder, network.config().inputs, &subject.frame()?)?;
             let agrees = Bound::new(subject.sha256(), filters).check(folder, &facts);
-            Ok(agrees.map(|()| (subject, network, guide)))
+            Ok(agrees.map(|()| (subject, network, guide, bending::said(&facts))))
         })?;
+        if let (Diffraction::Auto, Some(model)) = (task.pictures.diffraction, model) {
+            task.pictures.diffraction = model.into();
+        }
         Ok(Self { task, subject, network, guide })
     }
 

@@ -143,7 +143,7 @@ impl Training {
         let mut trainer = Trainer::new(network, &task.train.objective(), task.seed)?;
         trainer.check_device(&task.train.objective(), task.train.pairs.batch, task.train.pairs.patch_px)?;
         if let Subject::Lens(lens) = subject {
-            task.pictures.diffraction = bending::settled(&task, lens, false, &textures, task.network_depths_mm())?;
+            task.pictures.diffraction = bending::settled(&task, lens, &textures, task.network_depths_mm())?;
         }
         let parts = Parts::new(&task, subject, textures, None)?;
         let state = State::default();

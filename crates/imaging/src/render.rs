@@ -69,9 +69,9 @@ pub use bending::Diffraction;
 pub use inputs::Seen;
 pub use needs::Channels;
 pub use plan::{RenderPlan, Settings, frame_of};
-#[doc(hidden)]
-pub use planning::{Needed, enough_diffraction, lacking};
 pub use planning::{PlanOptions, plan};
+#[doc(hidden)]
+pub use planning::{enough_diffraction, lacking};
 pub use psf_map::{PsfMap, PsfMapRequest, PsfPlaces};
 pub use renderer::{Rendered, Renderer};
 #[doc(hidden)]

@@ -282,8 +282,9 @@ impl Designing {
         let scenery =
             Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&problem.lens)?, seed: task.seed };
         let depths_mm = &task.pictures.depths_mm;
-        let moves = !task.lens.freeze;
-        task.pictures.diffraction = bending::settled(&task, &problem.lens, moves, &textures, depths_mm)?;
+        if task.lens.freeze {
+            task.pictures.diffraction = bending::settled(&task, &problem.lens, &textures, depths_mm)?;
+        }
         let stage = Stage::new(&scenery, &problem, network, JointSettings::of(&task)?)?;
         let fill = |inside: &Path| {
             prescription::save(&prepared.start, &inside.join(START))?;
@@ -374,6 +375,14 @@ impl Designing {
     #[doc(hidden)]
     pub fn device(&self) -> Option<&str> {
         self.device.as_deref()
+    }
+
+    /// [`Self::task`], with the diffraction that pictures of the lens now ask for.
+    #[doc(hidden)]
+    pub fn task_now(&self) -> Task {
+        let mut task = self.task.clone();
+        task.pictures.diffraction = self.stage.renderer().plan.settings.diffraction.into();
+        task
     }
 
     /// Lens and network as they are.
@@ -493,7 +502,7 @@ impl Designing {
         if self.task.loss.sensor.is_none() {
             let joint = &self.stage.joint;
             let subject = Subject::from(joint.lens.clone());
-            let verdicts = verdicts(&self.task, &subject, (&joint.network, &joint.guide), &mut |_| {});
+            let verdicts = verdicts(&self.task_now(), &subject, (&joint.network, &joint.guide), &mut |_| {});
             self.verdicts = Some(verdicts.map_err(|e| e.to_string()));
         }
         self.show()
@@ -565,6 +574,7 @@ fn checkpoint_of(
     let mut state = stage.state();
     (state.best, state.seen) = (best, seen);
     let mut facts = BTreeMap::from([(STATE.to_owned(), state.to_text()?)]);
+    bending::put(stage.renderer().plan.settings.diffraction, &mut facts);
     bound.put(&mut facts);
     stage.joint.network.save_with_facts(path, &facts)
 }

@@ -15,11 +15,11 @@ use super::scenery::{Entry, Scenery};
 use super::sensor_loss::SensorLoss;
 use super::state::State;
 use super::{Joint, Report};
+use crate::design::bending;
 use crate::design::chain::Patch;
 use crate::design::data::Textures;
-use crate::design::places::{Places, Spread};
-use crate::design::schedule::{Length, Schedule, rise_and_fall};
-use crate::design::task::Task;
+use crate::design::places::Places;
+use crate::design::schedule::Schedule;
 use isoplanat_base::error::Result;
 use isoplanat_imaging::develop::simulate::Electronics;
 use isoplanat_imaging::guide::{Guide, Inputs};
@@ -27,93 +27,10 @@ use isoplanat_imaging::render::gradient_error::{Chosen, Patches, cheapest};
 use isoplanat_imaging::render::{Renderer, Settings};
 use isoplanat_imaging::sensor::spectrum::SpectralDensity;
 use isoplanat_network::{Compute, Reconstructor, UnetConfig};
-use isoplanat_optics::analysis::fabrication::tolerances::Tolerances;
 use isoplanat_optics::lens::Lens;
 use isoplanat_optics::optimize::Problem;
-use isoplanat_optics::psf::Model;
 
-/// Settings of the joint stage.
-#[derive(Clone, Debug)]
-pub struct JointSettings {
-    /// How long.
-    pub length: Length,
-    /// Patch side, pixels; a multiple of 4.
-    pub patch: usize,
-    /// Patches a step.
-    pub batch: usize,
-    /// How the lens moves.
-    pub steps: Steps,
-    /// Largest step of the lens: mm rms of its rays, or scaled or plain units; 0 holds the lens.
-    pub lens_rate: f64,
-    /// Part of the stage in which the lens moves, from and to.
-    pub lens_share: [f64; 2],
-    /// Largest step of the network.
-    pub network_rate: f64,
-    /// Equal parts of the stage, each with 0.8 of the rates of the one before, as in the paper; 0: a rise and half a cosine.
-    pub epochs: usize,
-    /// Object distances as vergences, 1/mm, taken in turn; empty: the lens's own.
-    pub vergences: Vec<f64>,
-    /// Power of the mean over the distances' losses.
-    pub depth_power: f64,
-    /// How patches are spread over the field.
-    pub spread: Spread,
-    /// By what kernels are made.
-    pub diffraction: Model,
-    /// Least relative illumination that the lens's steps keep.
-    pub least_illumination: Option<f64>,
-    /// A loss on the lens's own images in place of one behind the network, which then stays as it is.
-    pub sensor_loss: Option<SensorLoss>,
-    /// What lenses may be off by through which pictures are taken.
-    pub tolerances: Option<Tolerances>,
-    /// Of how many draws the one with the largest spots is taken.
-    pub worst_of: usize,
-    /// How finely it is rendered; `None`: as finely as the lens gradient needs ([`cheapest`]).
-    pub settings: Option<Settings>,
-}
-
-impl JointSettings {
-    /// What `task` asks for.
-    ///
-    /// # Errors
-    /// As [`Task::length`].
-    pub fn of(task: &Task) -> Result<Self> {
-        let rate = if task.lens.steps_by == Steps::Rays { 1e-3 * task.lens.rate_um } else { task.lens.rate };
-        Ok(Self {
-            length: task.length()?,
-            patch: task.pictures.patch_px,
-            batch: task.pictures.batch,
-            steps: task.lens.steps_by,
-            lens_rate: if task.lens.freeze { 0.0 } else { rate },
-            // Nothing but the lens moves.
-            lens_share: if task.loss.sensor.is_some() { [0.0, 1.0] } else { task.lens.share },
-            network_rate: task.network.rate,
-            epochs: task.budget.epochs,
-            vergences: task.pictures.depths_mm.iter().map(|d| d.recip()).collect(),
-            depth_power: task.loss.depth_power,
-            spread: task.pictures.spread,
-            least_illumination: task.lens.least_illumination,
-            sensor_loss: task.loss.sensor.clone(),
-            tolerances: task.stated_tolerances()?,
-            worst_of: task.lens.worst_of,
-            diffraction: task.pictures.diffraction.stated(),
-            settings: None,
-        })
-    }
-
-    /// Rates of lens and network when `used` of the stage is over, of their largest.
-    fn rates(&self, used: f64) -> [f64; 2] {
-        let [from, to] = self.lens_share;
-        let moves = used >= from && used < to;
-        if self.epochs > 0 {
-            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a number of parts")]
-            let part = ((used * self.epochs as f64) as usize).min(self.epochs - 1);
-            let rate = 0.8f64.powf(part as f64);
-            return [if moves { rate } else { 0.0 }, rate];
-        }
-        let lens = if moves { rise_and_fall((used - from) / (to - from)) } else { 0.0 };
-        [lens, rise_and_fall(used)]
-    }
-}
+pub use super::settings::JointSettings;
 
 /// Average over this many steps in a history.
 pub(in crate::design) const SMOOTH: usize = 10;
@@ -179,7 +96,8 @@ impl Stage {
         let electronics = Electronics::of(scenery.sensor);
         let own = [lens.object_vergence];
         let vergences = if settings.vergences.is_empty() { own.to_vec() } else { settings.vergences.clone() };
-        let first = settings.settings.unwrap_or(Settings { diffraction: settings.diffraction, ..Settings::DESIGN });
+        let diffraction = settings.diffraction.stated();
+        let first = settings.settings.unwrap_or(Settings { diffraction, ..Settings::DESIGN });
         let around = |t| AsBuilt::new(t, &problem.merit, lens, (scenery.seed, settings.worst_of));
         let as_built = settings.tolerances.as_ref().map(around).transpose()?;
         let planned = |l: &Lens| Renderer::planned(l, &scenery.frame, &density, &vergences, first);
@@ -380,9 +298,13 @@ impl Stage {
         if self.settings.settings.is_some() || !moves && self.settings.lens_rate == 0.0 {
             return Ok(());
         }
-        if let Ok(mut chosen) = self.choose(scenery) {
+        let drawn = self.drawn(scenery);
+        if let Ok(mut chosen) = self.choose(scenery, &drawn) {
             // What rays ask for is judged by rays.
-            chosen.settings.diffraction = self.settings.diffraction;
+            let before = self.renderer.plan.settings.diffraction;
+            let scenes = drawn.into_iter().map(|p| p.scene);
+            let seen = (&self.joint.lens, &scenery.frame, &self.density);
+            chosen.settings.diffraction = bending::now(self.settings.diffraction, before, scenes, seen);
             if chosen.settings != self.renderer.plan.settings {
                 let (frame, density) = (&scenery.frame, &self.density);
                 let planned = |l: &Lens| Renderer::planned(l, frame, density, &self.vergences, chosen.settings);
@@ -434,16 +356,19 @@ impl Stage {
         }
     }
 
-    /// Settings whose gradient is well below the noise of patches like those that the lens will be designed on.
-    fn choose(&self, scenery: &Scenery<'_>) -> Result<Chosen> {
+    /// Patches like those that the lens will be designed on.
+    fn drawn(&self, scenery: &Scenery<'_>) -> Vec<Patch> {
         let places = Places::new(&scenery.frame, self.settings.patch.min(JUDGED.1), self.settings.spread);
-        let drawn: Vec<Patch> = (0..JUDGED.0 as u64)
-            .map(|i| {
-                let map = &self.renderer.optics.maps[i as usize % self.vergences.len()];
-                let number = (self.step as u64) << 16 | i;
-                scenery.textures.numbered((scenery.seed ^ 0x6669_6e65, number), &places, &scenery.frame, map, 0)
-            })
-            .collect();
+        let drawn = |i| {
+            let map = &self.renderer.optics.maps[i as usize % self.vergences.len()];
+            let number = (self.step as u64) << 16 | i;
+            scenery.textures.numbered((scenery.seed ^ 0x6669_6e65, number), &places, &scenery.frame, map, 0)
+        };
+        (0..JUDGED.0 as u64).map(drawn).collect()
+    }
+
+    /// Settings whose gradient is well below the noise of patches like `drawn`.
+    fn choose(&self, scenery: &Scenery<'_>, drawn: &[Patch]) -> Result<Chosen> {
         let parts = drawn.iter().map(|p| (&p.scene, p.region)).collect();
         cheapest(&Patches { lens: &self.joint.lens, frame: &scenery.frame, density: &self.density, parts })
     }

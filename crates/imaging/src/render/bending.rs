@@ -42,6 +42,16 @@ impl Diffraction {
     }
 }
 
+impl From<Model> for Diffraction {
+    fn from(model: Model) -> Self {
+        match model {
+            Model::Rays => Self::Off,
+            Model::Approximate => Self::Approximate,
+            Model::Waves => Self::On,
+        }
+    }
+}
+
 impl Serialize for Diffraction {
     fn serialize<S: Serializer>(&self, to: S) -> std::result::Result<S::Ok, S::Error> {
         match self {
@@ -94,8 +104,6 @@ const LARGE: f64 = 16.0;
 pub(super) struct Bent {
     /// By what kernels are made.
     pub(super) model: Model,
-    /// Whether a lens of this pupil can lack more of diffraction than is allowed, however sharp it is.
-    pub(super) bends: bool,
     /// Mean square difference of pictures of rays, margin and standard error added; no number where it was not measured.
     pub(super) of_rays: f64,
     /// The same of what is left out: of [`Self::model`]; 0 where nothing is.
@@ -155,12 +163,12 @@ impl Draft<'_> {
         let narrow = Probing { size: 2 * sharp_half + 1, ..probing };
         let mut of_rays = 4.0 * seen(&narrow.between(&stands, &self.sharp(bend_mm, sharp_half)));
         let enough = LEFT * target;
-        let rays = |bends, of_rays, bytes, candidates| {
+        let rays = |of_rays, bytes, candidates| {
             let candidates = Some(candidates);
-            Bent { model: Model::Rays, bends, of_rays, left_out: of_rays, bytes, light: None, candidates }
+            Bent { model: Model::Rays, of_rays, left_out: of_rays, bytes, light: None, candidates }
         };
         if of_rays <= enough {
-            return Ok(Some(rays(false, of_rays, 0, candidates)));
+            return Ok(Some(rays(of_rays, 0, candidates)));
         }
         let waves = self.light.clone().diffracting(lens, Model::Waves)?;
         let bytes = waves.bending_bytes(probing.size, self.first.raster.pitch_mm);
@@ -173,16 +181,11 @@ impl Draft<'_> {
         };
         of_rays = off(probes.iter().map(|p| p.coarse.clone()).collect());
         if of_rays <= enough {
-            return Ok(Some(rays(true, of_rays, bytes, candidates)));
+            return Ok(Some(rays(of_rays, bytes, candidates)));
         }
-        let by = |model, left_out, light| Bent {
-            model,
-            bends: true,
-            of_rays,
-            left_out,
-            bytes,
-            light: Some(light),
-            candidates: None,
+        let by = |model, left_out, light| {
+            let light = Some(light);
+            Bent { model, of_rays, left_out, bytes, light, candidates: None }
         };
         if path_waves <= FEW && probing.size > WIDE {
             return Ok(Some(by(Model::Waves, 0.0, waves)));
@@ -198,10 +201,9 @@ impl Draft<'_> {
 
     /// What nobody looked at.
     fn stated(&self, lens: &Lens, model: Model) -> Result<Bent> {
-        let bends = model.diffracts();
-        let light = bends.then(|| self.light.clone().diffracting(lens, model)).transpose()?;
+        let light = model.diffracts().then(|| self.light.clone().diffracting(lens, model)).transpose()?;
         let left_out = if model == Model::Waves { 0.0 } else { f64::NAN };
-        Ok(Bent { model, bends, of_rays: f64::NAN, left_out, bytes: 0, light, candidates: None })
+        Ok(Bent { model, of_rays: f64::NAN, left_out, bytes: 0, light, candidates: None })
     }
 
     /// Kernels of a perfect lens of the narrowest pupil, by diffraction and of one ray, of half-width `half`; where cells are much larger than what bends, of smaller

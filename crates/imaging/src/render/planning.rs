@@ -59,8 +59,7 @@ pub fn plan(
     let lit = draft.region.filter(|_| !draft.needs.channels.lit.is_empty());
     let region = lit.filter(|_| probing);
     let how = match (request, options.diffraction) {
-        (Request::Settings(settings), _) if settings.diffraction == Model::Waves => Diffraction::On,
-        (Request::Settings(settings), _) if settings.diffraction.diffracts() => Diffraction::Approximate,
+        (Request::Settings(settings), _) if settings.diffraction.diffracts() => settings.diffraction.into(),
         // Given settings are what is asked for.
         (Request::Settings(_), Diffraction::Auto) => Diffraction::Off,
         (_, how) => how,
@@ -101,16 +100,6 @@ pub fn lacking(lens: &Lens, scenes: &[Plane], frame: &Frame, density: &SpectralD
     Ok(looked(lens, scenes, frame, density, 0.0)?.map_or(0.0, |b| b.of_rays.sqrt()))
 }
 
-/// What pictures need of diffraction.
-#[doc(hidden)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Needed {
-    /// The first model that lacks little enough of it.
-    pub model: Model,
-    /// Whether a sharper lens of this pupil can need more than rays.
-    pub bends: bool,
-}
-
 /// By what kernels are made that lack at most `left_db` of diffraction (mean square error against white), as a few places of `scenes` tell.
 ///
 /// # Errors
@@ -122,10 +111,9 @@ pub fn enough_diffraction(
     frame: &Frame,
     density: &SpectralDensity,
     left_db: f64,
-) -> Result<Needed> {
+) -> Result<Model> {
     let left = 10f64.powf(-0.1 * left_db);
-    let bent = looked(lens, scenes, frame, density, left / LEFT)?;
-    Ok(bent.map_or(Needed { model: Model::Rays, bends: false }, |b| Needed { model: b.model, bends: b.bends }))
+    Ok(looked(lens, scenes, frame, density, left / LEFT)?.map_or(Model::Rays, |b| b.model))
 }
 
 /// What a few places of `scenes` tell of diffraction, where the mean square error `target` is asked for; nothing where no light is.

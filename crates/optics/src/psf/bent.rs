@@ -121,7 +121,7 @@ impl Optics {
         let longest = self.wavelength_by(|nm| -nm);
         let at = |point: &SensorPoint| {
             let pupil = self.pupil(longest?, depth, self.illumination().held(*point))?;
-            Some(BENT * pupil.wavelength_mm / pupil.narrowest().max(1e-6))
+            Some(BENT * pupil.bend_mm())
         };
         if self.waves().is_none() {
             return 0.0;

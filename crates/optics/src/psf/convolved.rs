@@ -26,7 +26,7 @@ impl Convolution {
     pub(super) fn new(pupil: &Pupil, outward: [f64; 2], raster: Raster, cell_mm: f64) -> Option<Self> {
         let open = pupil.open(outward)?;
         let (side, fine_mm) = (raster.side(), cell_mm / raster.samples as f64);
-        let far = FAR * pupil.wavelength_mm / (pupil.narrowest().max(1e-9) * fine_mm);
+        let far = FAR * pupil.bend_mm() / fine_mm;
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a count, bounded")]
         let n = good_size(side + far.ceil().min(side as f64) as usize);
         Some(Self { open, fft: RealFft2::shared(n, n), side, n, fine_mm })

@@ -16,6 +16,24 @@ pub enum Model {
 }
 
 impl Model {
+    /// All, the cheapest first.
+    const ALL: [Self; 3] = [Self::Rays, Self::Approximate, Self::Waves];
+
+    /// What options call it: `off`, `approximate` or `on`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Rays => "off",
+            Self::Approximate => "approximate",
+            Self::Waves => "on",
+        }
+    }
+
+    /// The model of a [`Self::name`].
+    #[doc(hidden)]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|m| m.name() == name)
+    }
+
     /// Whether light bends.
     pub fn diffracts(self) -> bool {
         self != Self::Rays

@@ -164,7 +164,7 @@ impl Waves {
             for map in maps {
                 let point = SensorPoint::along([1.0, 0.0], share * farthest);
                 if let Some(pupil) = made.pupil_of(table, map, longest, point) {
-                    made.bend_mm = made.bend_mm.max(pupil.wavelength_mm / pupil.narrowest().max(1e-6));
+                    made.bend_mm = made.bend_mm.max(pupil.bend_mm());
                     let waves = pupil.path_waves() * nm[longest] / nm[shortest];
                     made.path_waves = made.path_waves.max(waves);
                     made.looked_at.push(pupil);

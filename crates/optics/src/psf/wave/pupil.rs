@@ -299,7 +299,7 @@ impl Pupil {
     }
 
     /// How far light bends, mm: `λ/NA` of the narrower side.
-    pub(super) fn bend_mm(&self) -> f64 {
+    pub(in crate::psf) fn bend_mm(&self) -> f64 {
         self.wavelength_mm / self.narrowest().max(1e-9)
     }
 
