@@ -1,5 +1,5 @@
 //! Tracing, and the optics of a design step, on shipped lenses: `cargo bench --bench pipeline`; `-- tables` prints one table of the
-//! step for `benches/results/pipeline.md`.
+//! step for `benches/results/pipeline.md`, `-- models` that of steps by rays, with the open pupil's diffraction and by waves for `benches/results/diffraction.md`.
 
 mod step;
 
@@ -45,6 +45,10 @@ fn design_steps(c: &mut Criterion) {
 }
 
 fn main() {
+    if std::env::args().any(|a| a == "models") {
+        print!("{}", step::models());
+        return;
+    }
     if std::env::args().any(|a| a == "tables") {
         print!("{}{}", step::table(), step::choices());
         return;

@@ -1,4 +1,5 @@
-//! The optics of a design step: eight patches of 256² pixels at random fields and four depths, forward and lens gradient.
+//! The optics of a design step: eight patches of 256² pixels at random fields and four depths, forward and lens gradient; and of steps of two small patches by the three models
+//! of a kernel.
 
 use std::path::Path;
 use std::time::Instant;
@@ -10,13 +11,16 @@ use isoplanat::imaging::render::{RenderPlan, Renderer, Settings};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
-use isoplanat::lens::{Lens, builtin};
-use isoplanat::psf::OpticsBar;
+use isoplanat::lens::paraxial::first_order;
+use isoplanat::lens::{Aperture, Lens, builtin};
+use isoplanat::psf::{Model, OpticsBar};
 use ndarray::Array3;
 
 /// Patches of a step, and their side, pixels.
 const PATCHES: usize = 8;
 const SIDE: usize = 256;
+/// The same of steps by the three models.
+const SMALL: [usize; 2] = [2, 64];
 /// Object distances, mm.
 const DEPTHS_MM: [f64; 4] = [500.0, 700.0, 1000.0, 1500.0];
 
@@ -59,33 +63,59 @@ impl Step {
         let [columns, rows] = [19_200.0, 12_800.0].map(|side: f64| (side / pitch_um).round() as usize);
         let frame =
             Frame::centred(columns, rows, pitch_um * 1e-3).and_then(|f| f.with_axis([0.0, 0.0])).expect("valid");
+        Self::of(name.to_owned(), lens, &frame, &DEPTHS_MM.map(f64::recip), Settings::DESIGN, [PATCHES, SIDE])
+    }
+
+    /// So many patches of a side, pixels, of `frame`, objects at `vergences` in turn.
+    fn of(
+        name: String,
+        lens: Lens,
+        frame: &Frame,
+        vergences: &[f64],
+        settings: Settings,
+        [count, side]: [usize; 2],
+    ) -> Self {
         let density = SpectralDensity::new(&Sensor::generic());
         let clock = Instant::now();
-        let vergences = DEPTHS_MM.map(f64::recip);
-        let plan = Renderer::planned(&lens, &frame, &density, &vergences, Settings::DESIGN).expect("plans").plan;
+        let plan = Renderer::planned(&lens, frame, &density, vergences, settings).expect("plans").plan;
         let planning = clock.elapsed().as_secs_f64();
+        let focal_mm = first_order(&lens, lens.wavelengths.primary_nm).effective_focal_length;
         let rng = &mut fastrand::Rng::with_seed(5);
         let texture = generate(SceneKind::DeadLeaves, 1, 1024, 1536);
         let patch = |k: usize| {
-            let mut place = |n: usize| rng.usize(..=n - SIDE);
-            let (row, col) = (place(rows), place(columns));
-            let region = Region { row: row.cast_signed(), col: col.cast_signed(), rows: SIDE, cols: SIDE };
+            let mut place = |n: usize| rng.usize(..=n - side);
+            let (row, col) = (place(frame.rows), place(frame.columns));
+            let region = Region { row: row.cast_signed(), col: col.cast_signed(), rows: side, cols: side };
             // The texture's middle about there, about a texel a pixel.
-            let axis = |texels: usize, first: usize| 0.5 * (texels - SIDE) as f64 - first as f64;
+            let axis = |texels: usize, first: usize| 0.5 * (texels - side) as f64 - first as f64;
             let scene = Plane {
                 texture: texture.clone(),
-                texels_per_slope: 50.0 / frame.pitch_mm,
+                texels_per_slope: focal_mm / frame.pitch_mm,
                 axis_texel: [axis(1536, col), axis(1024, row)],
                 vergence: vergences[k % vergences.len()],
             };
             (scene, region)
         };
-        let patches = (0..PATCHES).map(patch).collect();
-        Self { name: name.to_owned(), lens, density, plan, planning, patches }
+        let patches = (0..count).map(patch).collect();
+        Self { name, lens, density, plan, planning, patches }
+    }
+
+    /// `name` at an f-number (its own where none is given) and a pitch, on a quadrant of `radius_mm` a side, by a model.
+    fn bent(name: &str, f_number: Option<f64>, pitch_mm: f64, radius_mm: f64, model: Model) -> Self {
+        let lens = builtin::lens(name).expect("shipped");
+        let lens = match f_number {
+            Some(n) => lens.changed(|l| l.aperture = Aperture::FNumber(n)).expect("closes"),
+            None => lens,
+        };
+        let side = (radius_mm / pitch_mm).round() as usize;
+        let frame = Frame::centred(side, side, pitch_mm).and_then(|f| f.with_axis([0.0, 0.0])).expect("valid");
+        let settings = Settings { diffraction: model, ..Settings::DESIGN };
+        let vergences = [lens.object_vergence];
+        Self::of(name.to_owned(), lens, &frame, &vergences, settings, SMALL)
     }
 
     pub(crate) fn pixels(&self) -> u64 {
-        (self.patches.len() * SIDE * SIDE) as u64
+        self.patches.iter().map(|(_, region)| (region.rows * region.cols) as u64).sum()
     }
 
     pub(crate) fn renderer(&self) -> Renderer {
@@ -96,7 +126,7 @@ impl Step {
     pub(crate) fn forward(&self) -> f32 {
         let renderer = self.renderer();
         let of = |(k, (scene, region)): (usize, &(Plane, Region))| {
-            renderer.record::<f32>(scene, k % DEPTHS_MM.len(), *region).image.sum()
+            renderer.record::<f32>(scene, k % self.plan.depths.len(), *region).image.sum()
         };
         self.patches.iter().enumerate().map(of).sum()
     }
@@ -117,9 +147,9 @@ impl Step {
         let renderer = self.renderer();
         parts.trace = lap();
         let mut sum = OpticsBar::zeros(&renderer.optics);
-        let zero = Array3::<f32>::zeros((3, SIDE, SIDE));
         for (k, (scene, region)) in self.patches.iter().enumerate() {
-            let rendered = renderer.record::<f32>(scene, k % DEPTHS_MM.len(), *region);
+            let zero = Array3::<f32>::zeros((3, region.rows, region.cols));
+            let rendered = renderer.record::<f32>(scene, k % self.plan.depths.len(), *region);
             parts.forward += lap();
             sum.add(&renderer.vjp(scene, &rendered, rendered.image.view(), zero.view(), zero.view()));
             parts.back += lap();
@@ -164,6 +194,48 @@ pub(crate) fn table() -> String {
             measured[0].error(&converged),
             converged.noise(),
         );
+    }
+    out
+}
+
+/// Steps by rays, by rays convolved with the open pupil's diffraction, and by waves, at the same settings; the fastest of three.
+pub(crate) fn models() -> String {
+    let mut out = String::from(
+        "| lens | f-number | pitch µm | model | kernels, cells | nodes | trace, ms | forward, ms | back, ms | lens gradient, ms | all, times rays |\n\
+         |---|---|---|---|---|---|---|---|---|---|---|\n",
+    );
+    let cases = [
+        ("two_element", Some(8.0), 4e-3, 8.0),
+        ("two_element", Some(8.0), 6e-3, 8.0),
+        ("double_gauss", Some(8.0), 4e-3, 7.0),
+        ("phone", None, 1.4e-3, 2.6),
+    ];
+    for (name, f_number, pitch_mm, radius_mm) in cases {
+        let mut of_rays = f64::NAN;
+        for (model, words) in [(Model::Rays, "rays"), (Model::Approximate, "approximate"), (Model::Waves, "waves")] {
+            let step = Step::bent(name, f_number, pitch_mm, radius_mm, model);
+            let total = |p: &Parts| p.trace + p.forward + p.back + p.lens;
+            let runs = (0..3).map(|_| step.parts().0);
+            let best = runs.min_by(|a, b| total(a).total_cmp(&total(b))).expect("three");
+            if model == Model::Rays {
+                of_rays = total(&best);
+            }
+            let d = &step.plan.depths[0];
+            let ms = |s: f64| format!("{:.0}", 1e3 * s);
+            let stop = f_number.map_or_else(|| "own".to_owned(), |n| n.to_string());
+            out += &format!(
+                "| {name} | {stop} | {} | {words} | {}² ({}) | {} | {} | {} | {} | {} | {:.1} |\n",
+                1e3 * pitch_mm,
+                d.size(),
+                d.bin,
+                d.grid.len(),
+                ms(best.trace),
+                ms(best.forward),
+                ms(best.back),
+                ms(best.lens),
+                total(&best) / of_rays,
+            );
+        }
     }
     out
 }

@@ -15,7 +15,7 @@ use crate::arrays::Several;
 use crate::errors::{raised, refused};
 use crate::frame::Frame;
 use crate::lens::Lens;
-use crate::render::{light, standing};
+use crate::render::{bending, light, standing};
 use crate::work::{here, work};
 
 /// What all lenses are looked at with.
@@ -85,7 +85,7 @@ fn form(name: &str) -> PyResult<Form> {
 #[expect(clippy::too_many_arguments, reason = "the keywords of a call")]
 #[pyfunction]
 #[pyo3(signature = (lenses, photos, folder, frame, distances_mm, crop, crops, texels_per_pixel, noise, noise_level, flat_field, illuminant,
-    min_psnr_db, judge, judge_samples, form, shard, index, of, seed, force, progress))]
+    min_psnr_db, diffraction, judge, judge_samples, form, shard, index, of, seed, force, progress))]
 pub(crate) fn make_dataset(
     py: Python<'_>,
     lenses: &Bound<'_, PyAny>,
@@ -101,6 +101,7 @@ pub(crate) fn make_dataset(
     flat_field: bool,
     illuminant: Option<&str>,
     min_psnr_db: f64,
+    diffraction: Option<&str>,
     judge: f64,
     judge_samples: usize,
     form: &str,
@@ -131,6 +132,7 @@ pub(crate) fn make_dataset(
         flat_field,
         illuminant: light(illuminant)?,
         min_psnr_db,
+        diffraction: bending(diffraction.or((judge > 0.0).then_some("off")))?,
         judging: Judging { share: judge, samples: judge_samples },
         seed,
         form: self::form(form)?,

@@ -158,7 +158,7 @@ pub(crate) fn light(name: Option<&str>) -> PyResult<Illuminant> {
 }
 
 /// How diffraction enters pictures, by name.
-fn bending(name: Option<&str>) -> PyResult<Diffraction> {
+pub(crate) fn bending(name: Option<&str>) -> PyResult<Diffraction> {
     let Some(name) = name.filter(|name| *name != "auto") else { return Ok(Diffraction::Auto) };
     let wanted = "\"on\", \"off\", \"approximate\" or \"auto\"";
     Model::from_name(name).map(Diffraction::from).ok_or_else(|| refused("diffraction", format!("{name:?}"), wanted))

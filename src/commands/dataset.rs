@@ -11,6 +11,7 @@ use isoplanat::report::columns::{Column, table};
 use isoplanat::report::table::value;
 use isoplanat::{Error, Result};
 
+use crate::bending::Bending;
 use crate::input;
 use crate::memory;
 use crate::named::Named;
@@ -57,6 +58,9 @@ pub(crate) struct Args {
     /// PSNR that pictures are planned to hold before noise, dB in linear light for a range of 1.
     #[arg(long, value_name = "DB", default_value_t = 45.0)]
     min_psnr_db: f64,
+    /// Captures by diffraction (scalar waves), of rays, of rays convolved with the open pupil's diffraction, or as each lens needs [default: auto; off with --judge, since rays judge].
+    #[arg(long, value_enum)]
+    diffraction: Option<Bending>,
     /// Share of the pairs whose picture is judged by rays, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, allow_negative_numbers = true)]
     judge: f64,
@@ -163,6 +167,7 @@ impl Args {
             flat_field: self.noise.flat_field,
             illuminant: self.light.illuminant,
             min_psnr_db: self.min_psnr_db,
+            diffraction: self.diffraction.unwrap_or(if self.judge > 0.0 { Bending::Off } else { Bending::Auto }).into(),
             judging: Judging { share: self.judge, samples: self.judge_samples },
             seed: self.seed,
             form: self.form,
@@ -227,9 +232,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     Ok(())
 }
 
-const PLANS: [Column<Planned>; 4] = [
+const PLANS: [Column<Planned>; 5] = [
     Column::text("lens", "lens", |p| p.lens.clone()),
     Column::text("distance/mm", "distance_mm", |p| p.distance_mm.map_or("inf".into(), |mm| mm.to_string())),
+    Column::text("diffraction", "diffraction", |p| p.diffraction.name().to_owned()),
     Column::text("predicted PSNR dB", "predicted_psnr_db", |p| {
         p.predicted_psnr_db.map_or("–".into(), |db| format!("{db:.1}"))
     }),

@@ -12,6 +12,7 @@ pub(crate) use isoplanat_program::tell;
 
 mod accuracy;
 mod analyses;
+mod bending;
 #[cfg(feature = "calibrate")]
 mod calibrate;
 #[cfg(feature = "deploy")]

@@ -1,5 +1,7 @@
 //! `isoplanat render LENS SCENE… -o OUT`: pictures on the sensor, by PSF grid or by rays from the sensor.
 
+mod figures;
+
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -10,10 +12,7 @@ use isoplanat::imaging::develop::shading::evened;
 use isoplanat::imaging::files::{Annotation, Depth, Encoding, PICTURES, extension, write_annotated};
 use isoplanat::imaging::plane::Region;
 use isoplanat::imaging::reference::{Channels, Sampling, Settings as Rays, render};
-use isoplanat::imaging::render::blur::Method as Blur;
-use isoplanat::imaging::render::{
-    Diffraction, PlanOptions, Request, ScenePlan, Settings as Fineness, Skip, memory as estimate, plan, shortfall,
-};
+use isoplanat::imaging::render::{PlanOptions, Request, ScenePlan, Skip, memory as estimate, plan, shortfall};
 use isoplanat::imaging::scene::detail;
 use isoplanat::imaging::scene::photos::Photos;
 use isoplanat::imaging::scene::placement::slope_per_mm;
@@ -22,7 +21,10 @@ use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::report::table::{Table, significant};
 use isoplanat::{Error, Result, atomic};
 use ndarray::Array3;
+use serde::Serialize;
 
+use self::figures::{Figures, GridFigures};
+use crate::bending::Bending;
 use crate::input;
 use crate::memory;
 use crate::named::Named;
@@ -38,19 +40,6 @@ enum Method {
     PsfGrid,
     /// The reference: rays from the sensor.
     MonteCarlo,
-}
-
-/// How diffraction enters pictures.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Bending {
-    /// Kernels of rays.
-    Off,
-    /// Kernels by diffraction.
-    On,
-    /// Kernels of rays, convolved with the diffraction of the open pupil.
-    Approximate,
-    /// The first of off, approximate and on that uses up at most a tenth of the error that is allowed.
-    Auto,
 }
 
 /// The picture on the sensor.
@@ -135,13 +124,7 @@ impl Args {
     }
 
     fn options(&self) -> PlanOptions {
-        let diffraction = match self.diffraction {
-            Bending::Off => Diffraction::Off,
-            Bending::On => Diffraction::On,
-            Bending::Approximate => Diffraction::Approximate,
-            Bending::Auto => Diffraction::Auto,
-        };
-        PlanOptions { explain: self.explain, diffraction }
+        PlanOptions { explain: self.explain, diffraction: self.diffraction.into() }
     }
 
     /// Whether a picture may be written under this name.
@@ -203,7 +186,14 @@ const MARKER: &str = "pictures.json";
 struct Made {
     image: Array3<f32>,
     truth: Option<Array3<f32>>,
-    figures: serde_json::Value,
+    figures: Figures,
+}
+
+/// One of the pictures, with its numbers.
+#[derive(Serialize)]
+struct Picture {
+    picture: String,
+    figures: Figures,
 }
 
 /// What renders scene after scene.
@@ -281,11 +271,7 @@ impl Way {
                 let bytes = plan.bytes(texels(&plane.texture));
                 memory::limit().allow(scene, bytes, SMALLER)?;
                 let (image, seen) = plan.picture::<f32>(&plane, progress)?;
-                let mut figures = figures(plan);
-                figures["memory_bytes"] = bytes.into();
-                figures["planning_seconds"] = (*planning).into();
-                figures["kernels"] = seen.kernels.into();
-                figures["largest_energy_outside"] = seen.outside.into();
+                let figures = Figures::Grid(Box::new(GridFigures::new(plan, seen, bytes, *planning)));
                 let truth =
                     if after.truth { Some(plan.truth::<f32>(&plane, Region::whole(&stage.frame))?) } else { None };
                 Ok(Made { image: after.of(image, plan), truth, figures })
@@ -294,7 +280,7 @@ impl Way {
                 let frame = &stage.frame;
                 let whole = Region::whole(frame);
                 let r = render(&stage.lens, &plane, density, frame, whole, *how, Some(progress))?;
-                let figures = serde_json::json!({ "rays": r.rays, "noise_rms": r.noise_rms() });
+                let figures = Figures::Rays { rays: r.rays, noise_rms: r.noise_rms() };
                 Ok(Made { image: r.mean, truth: None, figures })
             }
         }
@@ -355,10 +341,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             for (k, (scene, name)) in args.scenes.iter().zip(&names).enumerate() {
                 let made = one(k, scene)?;
                 args.write(&folder.join(name), &made.image)?;
-                all.push((name.clone(), made.figures));
+                all.push(Picture { picture: name.clone(), figures: made.figures });
             }
-            let listed: Vec<_> = all.iter().map(|(n, f)| serde_json::json!({ "picture": n, "figures": f })).collect();
-            let text = format!("{:#}\n", serde_json::json!({ "schema": 1, "pictures": listed }));
+            let text = format!("{:#}\n", serde_json::json!({ "schema": 1, "pictures": all }));
             atomic::write_bytes(&folder.join(MARKER), text.as_bytes())
         })?;
     } else {
@@ -367,11 +352,11 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             args.write(Target::new(path, args.common.force), truth)?;
         }
         args.write(Target::new(&args.output, args.common.force), &made.image)?;
-        all.push((args.output.display().to_string(), made.figures));
+        all.push(Picture { picture: args.output.display().to_string(), figures: made.figures });
     }
     bar.done(String::new());
     let seconds = clock.elapsed().as_secs_f64();
-    tell(args, &way, &stage, &mut all, seconds, out)
+    tell(args, &way, &stage, &all, seconds, out)
 }
 
 /// Prints what was made.
@@ -379,7 +364,7 @@ fn tell(
     args: &Args,
     way: &Way,
     stage: &Stage,
-    all: &mut [(String, serde_json::Value)],
+    all: &[Picture],
     seconds: f64,
     out: &mut dyn Write,
 ) -> anyhow::Result<()> {
@@ -389,58 +374,26 @@ fn tell(
     };
     let frame = &stage.frame;
     if args.common.json {
-        if let Some(plan) = skips {
-            all[0].1["skips"] = serde_json::to_value(&plan.skips)?;
-        }
-        let value = if let [(_, figures)] = all {
-            serde_json::json!({ "schema": 1, "seconds": seconds, "figures": figures })
-        } else {
-            let listed: Vec<_> = all.iter().map(|(n, f)| serde_json::json!({ "picture": n, "figures": f })).collect();
-            serde_json::json!({ "schema": 1, "seconds": seconds, "pictures": listed })
+        let mut value = match all {
+            [one] => serde_json::json!({ "schema": 1, "seconds": seconds, "figures": one.figures }),
+            _ => serde_json::json!({ "schema": 1, "seconds": seconds, "pictures": all }),
         };
+        if let Some(plan) = skips {
+            let first = if all.len() == 1 { &mut value["figures"] } else { &mut value["pictures"][0]["figures"] };
+            first["skips"] = serde_json::to_value(&plan.skips)?;
+        }
         writeln!(out, "{value}")?;
         return Ok(());
     }
-    let what = if let [(name, _)] = all { name.clone() } else { format!("{} pictures", all.len()) };
+    let what = if let [one] = all { one.picture.clone() } else { format!("{} pictures", all.len()) };
     writeln!(out, "{what}: {} × {} pixels in {seconds:.2} s", frame.columns, frame.rows)?;
-    for (key, value) in all[0].1.as_object().into_iter().flatten() {
-        writeln!(out, "  {key}: {value}")?;
+    for (name, text) in all[0].figures.rows() {
+        writeln!(out, "  {name:<14} {text}")?;
     }
     if let Some(plan) = skips {
         writeln!(out, "\nleft out, or made coarser than the full computation:\n{}", table(plan))?;
     }
     Ok(())
-}
-
-/// The plan in numbers.
-fn figures(plan: &ScenePlan) -> serde_json::Value {
-    let (render, optics) = (&plan.renderer.plan, &plan.renderer.optics);
-    let Fineness { wavelengths, degree, dense, .. } = render.settings;
-    let depth = &render.depths[0];
-    let (method, block) = match plan.method {
-        Blur::Cells { block } => ("cells", Some(block)),
-        Blur::Direct => ("direct", None),
-    };
-    serde_json::json!({
-        "predicted_psnr_db": plan.predicted_db,
-        "holds": plan.holds,
-        "scene_samples_per_px": depth.samples,
-        "pixels_per_cell": depth.bin,
-        "wavelengths": wavelengths,
-        "pupil_degree": degree,
-        "pupil_points": dense,
-        "diffraction": optics.spec.diffraction,
-        "kernel_cells": depth.size(),
-        "psf_nodes": depth.grid.len(),
-        "node_error": depth.node_error,
-        "radii_traced": optics.table().spec.radii_mm.len(),
-        "rays_traced": optics.table().rays,
-        "method": method,
-        "block_px": block,
-        "pupil_residual": optics.table().residual,
-        "traced_pupil_fraction": optics.table().kept(),
-        "chief_ray_residual_px": optics.maps[0].residual_mm / render.frame.pitch_mm,
-    })
 }
 
 /// What was left out.

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use isoplanat_base::atomic::{self, FolderKind};
 use isoplanat_base::error::{Error, Result};
+use isoplanat_imaging::render::Diffraction;
 use isoplanat_imaging::scene::photos::Photos;
 use isoplanat_optics::lens::prescription;
 use serde_json::{Value, json};
@@ -49,7 +50,7 @@ pub(super) fn description(s: &Settings, photos: &Photos, layout: &Layout) -> Res
         pictures.push(json!({ "name": name, "bytes": bytes }));
     }
     let crops = s.crops.map(|c| json!({ "columns": c.size[0], "rows": c.size[1], "of_each": c.count }));
-    let value = json!({
+    let mut value = json!({
         "schema": SCHEMA,
         "program": concat!("isoplanat ", env!("CARGO_PKG_VERSION")),
         "form": s.form.name(),
@@ -67,6 +68,10 @@ pub(super) fn description(s: &Settings, photos: &Photos, layout: &Layout) -> Res
         "lenses": lenses,
         "photos": pictures,
     });
+    // Data sets of before say nothing, and are of rays.
+    if s.diffraction != Diffraction::Off {
+        value["diffraction"] = serde_json::to_value(s.diffraction).unwrap_or_default();
+    }
     Ok(format!("{value:#}\n"))
 }
 
@@ -116,8 +121,10 @@ fn difference(there: &Value, now: &Value) -> Option<(String, String, String)> {
     };
     match (there, now) {
         (a, b) if a == b => None,
-        (Value::Object(a), Value::Object(b)) if a.keys().eq(b.keys()) => {
-            a.iter().zip(b.values()).find_map(|((name, x), y)| inner(name.clone(), (x, y)))
+        (Value::Object(a), Value::Object(b)) => {
+            let of = |all: &serde_json::Map<String, Value>, name: &str| all.get(name).cloned().unwrap_or_default();
+            let more = b.keys().filter(|name| !a.contains_key(*name));
+            a.keys().chain(more).find_map(|name| inner(name.clone(), (&of(a, name), &of(b, name))))
         }
         (Value::Array(a), Value::Array(b)) if a.len() == b.len() => {
             a.iter().zip(b).enumerate().find_map(|(k, both)| inner(format!("[{k}]"), both))

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_base::math::memory::Limit;
 use isoplanat_imaging::frame::Frame;
-use isoplanat_imaging::render::frame_of;
+use isoplanat_imaging::render::{Diffraction, frame_of};
 use isoplanat_imaging::scene::placement::slope_per_mm;
 use isoplanat_imaging::sensor::Sensor;
 use isoplanat_imaging::sensor::illuminant::Illuminant;
@@ -71,6 +71,8 @@ pub struct Settings {
     pub illuminant: Illuminant,
     /// PSNR that pictures are planned to hold against exact ones before noise, dB in linear light for a range of 1.
     pub min_psnr_db: f64,
+    /// How diffraction enters captures; [`Diffraction::Off`] where pairs are judged, since rays judge them.
+    pub diffraction: Diffraction,
     /// Pairs judged by rays.
     pub judging: Judging,
     /// Seed of crops, noise and rays.
@@ -93,7 +95,7 @@ const LARGEST: usize = 65_536;
 const MOST: usize = 100_000;
 
 impl Settings {
-    /// Of lenses and photographs: whole frames without noise, 45 dB, 16-bit PNG, nothing judged.
+    /// Of lenses and photographs: whole frames without noise, 45 dB, as much diffraction as that asks for, 16-bit PNG, nothing judged.
     pub fn new(lenses: Vec<(String, Lens)>, photos: PathBuf) -> Self {
         Self {
             lenses,
@@ -107,6 +109,7 @@ impl Settings {
             flat_field: false,
             illuminant: Illuminant::default(),
             min_psnr_db: 45.0,
+            diffraction: Diffraction::Auto,
             judging: Judging { share: 0.0, samples: 128 },
             seed: 1,
             form: Form::Png,
@@ -181,6 +184,8 @@ impl Settings {
         refuse((10.0..=80.0).contains(&db), "--min-psnr-db", db.to_string(), "10 to 80 dB")?;
         let Judging { share, samples } = self.judging;
         refuse((0.0..=1.0).contains(&share), "--judge", share.to_string(), "a share, 0 to 1")?;
+        let judged = share > 0.0 && self.diffraction != Diffraction::Off;
+        refuse(!judged, "--diffraction", format!("not off, with --judge {share}"), "off: rays judge")?;
         refuse((4..=1 << 20).contains(&samples), "--judge-samples", samples.to_string(), "4 to 1048576 rays a pixel")?;
         let shard = self.shard.unwrap_or(1);
         refuse((1..=1 << 20).contains(&shard), "--shard", shard.to_string(), "1 to 1048576 pairs")?;

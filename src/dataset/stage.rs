@@ -75,8 +75,9 @@ impl<'a> Stage<'a> {
                 textures.into_iter().map(placed).collect::<Result<Vec<_>>>().map_err(named)?
             }
         };
-        let plan = plan(&lens, &scenes, &frame, density, Request::Psnr(settings.min_psnr_db), PlanOptions::RAYS)
-            .map_err(named)?;
+        let options = PlanOptions { explain: false, diffraction: settings.diffraction };
+        let plan =
+            plan(&lens, &scenes, &frame, density, Request::Psnr(settings.min_psnr_db), options).map_err(named)?;
         let (seconds, tracer) = (clock.elapsed().as_secs_f64(), OnceLock::new());
         Ok(Self { settings, photos, density, lens_index, lens, frame, plan, seconds, tracer })
     }

@@ -12,6 +12,7 @@ use isoplanat_imaging::scene::detail::{deciding, detail};
 use isoplanat_imaging::scene::photos::Photos;
 use isoplanat_imaging::scene::placement::texels_that_fill;
 use isoplanat_imaging::sensor::spectrum::SpectralDensity;
+use isoplanat_optics::psf::Model;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -33,6 +34,8 @@ pub struct Planned {
     pub distance_mm: Option<f64>,
     /// Seconds.
     pub seconds: f64,
+    /// By what its captures' kernels are made.
+    pub diffraction: Model,
     /// Predicted PSNR, dB.
     pub predicted_psnr_db: Option<f64>,
     /// Whether what is asked for is predicted to hold.
@@ -158,6 +161,7 @@ impl Work<'_> {
                 lens: stage.name().to_owned(),
                 distance_mm: stage.distance_mm(),
                 seconds: stage.seconds,
+                diffraction: stage.plan.renderer.optics.spec.diffraction,
                 predicted_psnr_db: stage.plan.predicted_db.filter(|db| db.is_finite()),
                 holds: stage.plan.holds,
             });

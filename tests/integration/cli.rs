@@ -295,7 +295,7 @@ fn render_plans_and_explains() {
     let frame = "--columns 64 --rows 48 --pitch-um 40";
     let asked = format!("render cooke_triplet facades:3 -o a.tif {frame} --min-psnr-db 45 --explain");
     let text = place.run(&asked).done();
-    for word in ["predicted_psnr_db", "work left", "bound", "PSF nodes", "wavelengths", "apertures"] {
+    for word in ["predicted ", "kernels ", "work left", "bound", "PSF nodes", "wavelengths", "apertures"] {
         assert!(text.contains(word), "{word}: {text}");
     }
     let json = read_json(&place.run(&format!("{asked} --json --force")).done());

@@ -324,6 +324,22 @@ fn pairs_are_what_render_makes() {
             assert_eq!(ours, read_linear(&place.path(file)).expect("reads"), "{which} {more}");
         }
     }
+    // On pixels so small, by diffraction as well; of rays where that is asked for.
+    let fine = "--columns 48 --rows 32 --pitch-um 4 --depth-mm 3000 --min-psnr-db 42";
+    let [mut captures, mut pictures] = [Vec::new(), Vec::new()];
+    for how in ["", "--diffraction off"] {
+        let told = crate::support::read_json(
+            &place
+                .run(&format!("dataset cooke_triplet {fine} --photos one -o fine --form tiff --force --json {how}"))
+                .done(),
+        );
+        assert_eq!(told["plans"][0]["diffraction"] != false, how.is_empty(), "{told}");
+        place.run(&format!("render cooke_triplet one/a.png {fine} -o fine.tif --float --force {how}")).done();
+        captures.push(read_linear(&place.path("fine").join(&lines(&place.path("fine"))[0]["capture"])).expect("reads"));
+        pictures.push(read_linear(&place.path("fine.tif")).expect("reads"));
+    }
+    assert_eq!(captures, pictures);
+    assert_ne!(captures[0], captures[1]);
     // A crop is the whole frame's part, but for how blocks are cut.
     place.run(&format!("dataset {lens} --photos one -o crop --form tiff --crop 20x12 --crops 4")).done();
     place.run(&format!("dataset {lens} --photos one -o frame --form tiff")).done();
@@ -499,6 +515,7 @@ fn bad_input_is_refused_in_a_line_and_nothing_is_written() {
         (format!("{good} --judge 1 --judge-samples 2"), vec!["--judge-samples"]),
         (format!("{good} --min-psnr-db 100"), vec!["--min-psnr-db"]),
         (format!("{good} --noise nowhere.toml"), vec!["nowhere.toml"]),
+        (format!("{good} --judge 0.5 --diffraction on"), vec!["--diffraction", "--judge 0.5", "off"]),
         (format!("{good} --noise generic --noise-level 2,1"), vec!["--noise-level"]),
         (format!("{good} --noise generic --noise-level -1"), vec!["--noise-level"]),
         (format!("{good} --texels-per-pixel 0"), vec!["--texels-per-pixel"]),
@@ -515,6 +532,7 @@ fn bad_input_is_refused_in_a_line_and_nothing_is_written() {
     place.run(&good).done();
     place.run(&format!("{good} --seed 2")).refused(&["dataset.json", "seed", "1", "2"]);
     place.run(&format!("{good} --form tiff")).refused(&["dataset.json", "form"]);
+    place.run(&format!("{good} --diffraction off")).refused(&["dataset.json", "diffraction", "auto"]);
     std::fs::remove_file(place.path("photos/c.npy")).expect("removed");
     place.run(&good).refused(&["dataset.json"]);
     place.run(&format!("{good} --force")).done();

@@ -127,6 +127,7 @@ def dataset(
     flat_field: bool = False,
     illuminant: str | None = None,
     min_psnr_db: float = 45.0,
+    diffraction: str | None = None,
     judge: float = 0.0,
     judge_samples: int = 128,
     form: str = "npy",
@@ -162,6 +163,8 @@ def dataset(
         Divide the falling light out.
     min_psnr_db : float
         What pictures are planned to hold against exact ones, before noise.
+    diffraction : "auto", "on", "approximate" or "off"
+        By what captures are made, as of `render`: "auto" where left out; "off" with ``judge``, since rays judge.
     judge : float
         Share of the pairs that rays judge, ``judge_samples`` a pixel.
     form : "npy", "npz", "png" or "tiff"
@@ -198,6 +201,7 @@ def dataset(
         flat_field,
         illuminant,
         min_psnr_db,
+        diffraction,
         judge,
         judge_samples,
         form,

@@ -78,6 +78,7 @@ def make_dataset(
     flat_field: bool,
     illuminant: str | None,
     min_psnr_db: float,
+    diffraction: str | None,
     judge: float,
     judge_samples: int,
     form: str,
