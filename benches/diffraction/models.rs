@@ -124,17 +124,22 @@ pub(crate) fn print() {
             }
         }
         let series = |x: fn(&(f64, Seen)) -> f64| -> Vec<Series> {
-            let all = MODELS
-                .into_iter()
-                .zip(&lines)
-                .flat_map(|(m, lines)| PITCHES.into_iter().zip(lines).map(move |l| (m.0, l)));
-            let one = |(model, (pitch, line)): (&str, (f64, &Line))| {
+            let one = |name: String, line: &Line, mark| {
                 // Where both are of rays there is nothing to see.
                 let told = line.iter().filter(|(_, seen)| !seen.geometric);
-                let points = told.map(|at| [x(at), at.1.errors[0]]).collect();
-                Series { name: format!("{model}, {pitch} µm"), points, mark: Mark::Both }
+                Series { name, points: told.map(|at| [x(at), at.1.errors[0]]).collect(), mark }
             };
-            all.map(one).collect()
+            let [rays, approximate, waves] = &lines[..] else { return Vec::new() };
+            // By its colour a pitch is known.
+            let of_pitch = |(k, pitch): (usize, f64)| {
+                [
+                    one(format!("rays, {pitch} µm"), &rays[k], Mark::Both),
+                    one(format!("approximate, {pitch} µm"), &approximate[k], Mark::Dashed),
+                ]
+            };
+            let mut all: Vec<Series> = PITCHES.into_iter().enumerate().flat_map(of_pitch).collect();
+            all.push(one("waves, the worst pitch".into(), &worst(waves), Mark::Both));
+            all
         };
         plot(
             &format!("Models of kernels, {name}"),
@@ -147,6 +152,12 @@ pub(crate) fn print() {
             plot(&title, "ms a kernel of three channels", "diffraction_time.svg", series(|(_, seen)| seen.ms));
         }
     }
+}
+
+/// At each stop the pitch with the largest error.
+fn worst(lines: &[Line]) -> Line {
+    let at = |k: usize| lines.iter().map(|line| line[k]).max_by(|a, b| a.1.errors[0].total_cmp(&b.1.errors[0]));
+    (0..lines[0].len()).filter_map(at).collect()
 }
 
 fn plot(title: &str, x_label: &str, file: &str, series: Vec<Series>) {

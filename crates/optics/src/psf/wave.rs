@@ -16,7 +16,6 @@
 //! Scalar theory: no polarisation, no diffraction between the surfaces.
 
 mod cell;
-mod correlation;
 mod fitted;
 mod functions;
 mod open;

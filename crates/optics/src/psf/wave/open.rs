@@ -5,16 +5,16 @@
 
 use std::f64::consts::FRAC_2_PI;
 use std::ops::Range;
+use std::sync::LazyLock;
 
 use glam::DVec2;
-use ndarray::{Array2, s};
+use ndarray::{Array2, Zip, s};
 use rustfft::num_complex::Complex;
 
 use super::PupilBars;
-use super::correlation::{autocorrelation, spectrum};
 use super::pupil::{Pupil, stepped};
 use super::raster::{Field, Sampling};
-use isoplanat_base::math::fft::{fft_rows, good_size};
+use isoplanat_base::math::fft::{RealFft2, good_size};
 
 /// Samples across the pupil.
 const ACROSS: f64 = 48.0;
@@ -23,14 +23,13 @@ const ACROSS: f64 = 48.0;
 pub(in crate::psf) struct Open {
     sampling: Sampling,
     field: Field,
-    /// Transform of the amplitudes, `[column, row]`.
+    fft: RealFft2<f64>,
+    /// Half spectrum of the amplitudes, `[column, row]`.
     spectrum: Array2<Complex<f64>>,
     /// The transfer function less the ellipse's at steps of the raster, `[column, row]`, negative ones at the end.
     rest: Array2<f64>,
     /// Sides of the ellipse, along columns and rows.
     ellipse: DVec2,
-    /// Values of [`round`] at even places to its end.
-    round: Vec<f64>,
 }
 
 /// A cotangent on the values of an [`Open`] on its lattice.
@@ -43,6 +42,20 @@ fn round(part: f64) -> f64 {
 
 /// Places that [`round`] is told at: between them the line is within 1e-5.
 const TOLD: usize = 1024;
+/// Its values there, and one beyond.
+static ROUND: LazyLock<Vec<f64>> = LazyLock::new(|| (0..=TOLD + 1).map(|k| round(k as f64 / TOLD as f64)).collect());
+
+/// [`round`] by the square of its place.
+fn round_at(square: f64) -> f64 {
+    let place = square.sqrt() * TOLD as f64;
+    if place >= TOLD as f64 {
+        return 0.0;
+    }
+    let low = place as usize;
+    let part = place - low as f64;
+    let of = &ROUND[low..];
+    of[0] + part * (of[1] - of[0])
+}
 
 /// Two lattice points around a place along one axis, and how far it is from the first to the second.
 #[derive(Clone, Copy)]
@@ -63,15 +76,15 @@ impl Pupil {
         }
         let (rows, cols) = field.amplitude.dim();
         let n = good_size(2 * field.across().max(1) - 1);
-        let spectrum = spectrum(&field.amplitude, n);
-        let all = autocorrelation(spectrum.clone(), n);
+        let fft = RealFft2::shared(n, n);
+        let spectrum = fft.forward(field.amplitude.mapv(|v| v.re).view());
+        let all = fft.unscaled(spectrum.mapv(|v| Complex::new(v.norm_sqr(), 0.0)), 0, n);
         let unit = sampling.step * sampling.step / ((n * n) as f64 * field.light);
         // The box of the open part, as an ellipse's sides would be.
         let ellipse = sampling.step * DVec2::new(cols as f64 - 1.0, rows as f64 - 1.0).max(DVec2::ONE);
-        let round = (0..=TOLD + 1).map(|k| round(k as f64 / TOLD as f64)).collect();
-        let mut open = Open { sampling, field, spectrum, rest: Array2::zeros((n, n)), ellipse, round };
+        let mut open = Open { sampling, field, fft, spectrum, rest: Array2::zeros((n, n)), ellipse };
         let rest = Array2::from_shape_fn((n, n), |(j, i)| {
-            unit * all[[i, j]].re - open.ellipse_at(open.sampling.step * DVec2::new(signed(j, n), signed(i, n)))
+            unit * all[[i, j]] - open.ellipse_at(open.sampling.step * DVec2::new(signed(j, n), signed(i, n)))
         });
         open.rest = rest;
         Some(open)
@@ -87,17 +100,12 @@ impl Pupil {
             let at = open.sampling.step * DVec2::new(signed(j, n), signed(i, n));
             values += b * (open.rest[[j, i]] + open.ellipse_at(at));
         }
-        let mut power = bar.0.t().mapv(|b| Complex::new(unit * b, 0.0)).as_standard_layout().into_owned();
-        fft_rows(&mut power, true);
-        let mut power = power.t().as_standard_layout().into_owned();
-        fft_rows(&mut power, true);
+        let mut lines = open.fft.forward(bar.0.t());
         // The cotangent of an autocorrelation, whose values are real: the real part alone.
-        let mut lines = &open.spectrum * &power.mapv(|v| Complex::new(2.0 * v.re, 0.0));
+        Zip::from(&mut lines).and(&open.spectrum).for_each(|bar, value| *bar = value * (2.0 * unit * bar.re));
         let (rows, cols) = field.amplitude.dim();
-        fft_rows(&mut lines, false);
-        let mut lines = lines.slice(s![.., ..rows]).t().as_standard_layout().into_owned();
-        fft_rows(&mut lines, false);
-        let amplitude = lines.slice(s![.., ..cols]).mapv(|v| Complex::new(v.re, 0.0));
+        let lines = open.fft.unscaled(lines, 0, rows);
+        let amplitude = lines.slice(s![.., ..cols]).mapv(|v| Complex::new(v, 0.0));
         self.functions.field_vjp(&open.sampling, field, &amplitude, [-values / field.light, 0.0], &mut to.0);
     }
 }
@@ -109,19 +117,7 @@ fn signed(i: usize, n: usize) -> f64 {
 
 impl Open {
     fn ellipse_at(&self, at: DVec2) -> f64 {
-        self.round_at((at / self.ellipse).length_squared())
-    }
-
-    /// [`round`] by the square of its place.
-    fn round_at(&self, square: f64) -> f64 {
-        let place = square.sqrt() * TOLD as f64;
-        if place >= TOLD as f64 {
-            return 0.0;
-        }
-        let low = place as usize;
-        let part = place - low as f64;
-        let of = &self.round[low..];
-        of[0] + part * (of[1] - of[0])
+        round_at((at / self.ellipse).length_squared())
     }
 
     /// Where a displacement along one axis lies on the lattice; nothing where no light has it.
@@ -168,7 +164,7 @@ impl Open {
             let (x, mut to) = ((x / self.ellipse.x).powi(2), transfer.row_mut(j));
             for i in some {
                 if let (Some(y), square) = rows[i] {
-                    to[i] += share(n, [j, i]) * (y.of(&line) + self.round_at(x + square));
+                    to[i] += share(n, [j, i]) * (y.of(&line) + round_at(x + square));
                 }
             }
         }

@@ -18,7 +18,6 @@ use ndarray::{Array2, s};
 use rustfft::num_complex::Complex;
 
 use super::WaveFigures;
-use super::correlation::{autocorrelation, spectrum};
 use super::functions::PupilFunctions;
 use super::pupil::Pupil;
 use super::raster::{Field, Sampling};
@@ -100,7 +99,21 @@ impl Part {
 /// Autocorrelation `Σ A_{m+q} A*_m` of the amplitudes: `[row, column]`, rows from 0 to `far`, columns from `−far` to `far`.
 fn half_correlation(field: &Field, far: usize) -> Array2<Complex<f64>> {
     let n = good_size(2 * far + 1);
-    let half = autocorrelation(spectrum(&field.amplitude, n), far.min(n - 1) + 1);
+    let (rows, cols) = field.amplitude.dim();
+    let none = Complex::new(0.0, 0.0);
+    let mut lines = Array2::from_elem((rows, n), none);
+    lines.slice_mut(s![.., ..cols]).assign(&field.amplitude);
+    fft_rows(&mut lines, true);
+    let mut all = Array2::from_elem((n, n), none);
+    all.slice_mut(s![.., ..rows]).assign(&lines.t());
+    drop(lines);
+    fft_rows(&mut all, true);
+    // `[column, row]` now.
+    all.mapv_inplace(|v| Complex::new(v.norm_sqr(), 0.0));
+    fft_rows(&mut all, false);
+    let mut half = all.slice(s![.., ..=far.min(n - 1)]).t().as_standard_layout().into_owned();
+    drop(all);
+    fft_rows(&mut half, false);
     let unit = 1.0 / (n * n) as f64;
     Array2::from_shape_fn((far + 1, 2 * far + 1), |(i, j)| half[[i, (j + n - far) % n]] * unit)
 }
