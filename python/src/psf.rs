@@ -294,6 +294,29 @@ impl Psf {
         crate::lens::named(py, &self.lens, &gradient)
     }
 
+    /// Strehl ratio and radii that hold light, by diffraction and before pixels; None of kernels of rays.
+    ///
+    /// A dict of `strehl`, array [distance, field, channel]: the largest value of the point spread over that of the same pupils without path differences; and of
+    /// `radius_um`, array [distance, field, channel, 3]: radii about the centroid that hold 50, 80 and 95 % of the light. nan where hundreds of waves, or no light, leave it
+    /// untold.
+    fn energy(&self, py: Python<'_>) -> PyResult<Option<Py<PyDict>>> {
+        if !self.plan.optics.spec.diffraction.diffracts() {
+            return Ok(None);
+        }
+        let weights = self.weights();
+        let of = || Ok(weights.iter().filter_map(|weight| self.plan.energies(weight)).collect::<Vec<_>>());
+        let by_channel = work(py, of)?;
+        let each = (self.plan.lines.len(), self.plan.fields(), weights.len());
+        let at = |d: usize, f: usize, c: usize| by_channel[c][d * each.1 + f];
+        let strehl = Array3::from_shape_fn(each, |(d, f, c)| at(d, f, c).0);
+        let shape = (each.0, each.1, each.2, 3);
+        let radius_um = Array4::from_shape_fn(shape, |(d, f, c, k)| 1e3 * at(d, f, c).1[k]);
+        let found = PyDict::new(py);
+        found.set_item("strehl", given(py, strehl))?;
+        found.set_item("radius_um", given(py, radius_um))?;
+        Ok(Some(found.unbind()))
+    }
+
     fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
         let kernels = self.kernels.bind(py);
         Ok(format!("<Psf [distance, field, channel, row, col] = {}>", kernels.getattr("shape")?))

@@ -82,6 +82,23 @@ def test_gradients_of_kernels_by_diffraction_are_those_of_differences():
     assert ours == pytest.approx(found, rel=1e-3)
 
 
+def test_energy_by_diffraction_is_that_of_the_command(command, tmp_path):
+    asked = {"fields": 3, "size": 15}
+    command("psf", "double_gauss", "-o", "k.npz", "--diffraction", "--fields", 3, "--size", 15, "--wavelength-nm", "550")
+    told = np.load(tmp_path / "k.npz")
+    lens = iso.Lens("double_gauss")
+    energy = lens.psf(**asked, wavelengths_nm=[550], diffraction=True).energy()
+    assert energy["strehl"].shape == (1, 3, 1) and energy["radius_um"].shape == (1, 3, 1, 3)
+    assert (energy["strehl"][..., 0] == told["strehl"]).all() and (0 < told["strehl"]).all() and (told["strehl"] <= 1).all()
+    assert np.abs(energy["radius_um"][:, :, 0] - 1e3 * told["encircled_50_80_95_mm"]).max() < 1e-9
+    assert (np.diff(energy["radius_um"], axis=-1) > 0).all()
+    # Of each channel its own.
+    each = lens.psf(**asked, wavelengths_nm=[450, 550, 650], diffraction=True).energy()
+    assert each["strehl"].shape == (1, 3, 3) and each["strehl"][0, 0, 1] == pytest.approx(energy["strehl"][0, 0, 0], abs=1e-3)
+    assert len(set(each["strehl"][0, 0])) == 3
+    assert lens.psf(**asked).energy() is None
+
+
 def test_one_number_stands_for_a_list_of_it():
     lens = iso.Lens("cooke_triplet")
     listed = lens.psf([10.0], [1000.0], size=9, wavelengths_nm=[550.0])

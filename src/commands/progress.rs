@@ -6,6 +6,10 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
+/// A bar, and what is left of it at its end.
+const UNDER_WAY: &str = "{prefix:28} {bar:30} {percent:>3}% {elapsed} left {eta} {msg}";
+const OVER: &str = "{prefix:28} {bar:30} {percent:>3}% {elapsed} {msg}";
+
 /// A bar over shares from 0 to 1.
 pub(crate) struct Bar(ProgressBar);
 
@@ -13,9 +17,7 @@ impl Bar {
     /// A bar named `what`; hidden where stderr is not a terminal, which then gets one line at start and end.
     pub(crate) fn new(what: &str) -> Self {
         let bar = ProgressBar::new(1000);
-        let style = ProgressStyle::with_template("{prefix:28} {bar:30} {percent:>3}% {elapsed} left {eta} {msg}")
-            .expect("a constant template");
-        bar.set_style(style);
+        bar.set_style(ProgressStyle::with_template(UNDER_WAY).expect("a constant template"));
         bar.set_prefix(what.to_owned());
         if bar.is_hidden() {
             crate::tell!("{what} …");
@@ -35,6 +37,7 @@ impl Bar {
         if self.0.is_hidden() {
             crate::tell!("{} done in {:.1} s {message}", self.0.prefix(), self.0.elapsed().as_secs_f64());
         }
+        self.0.set_style(ProgressStyle::with_template(OVER).expect("a constant template"));
         self.0.finish_with_message(message);
     }
 }

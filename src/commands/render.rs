@@ -30,7 +30,7 @@ use crate::memory;
 use crate::named::Named;
 use crate::output;
 use crate::output::Common;
-use crate::progress::Bar;
+use crate::progress::{Bar, Waiting};
 use crate::scene::{SMALLER, SceneArgs, Stage, texels};
 
 /// How to render.
@@ -242,7 +242,9 @@ impl Way {
         let deciding = deciding(args, stage)?;
         let (count, planned) = (args.scenes.len(), deciding.len());
         let scenes = deciding.iter().map(|k| stage.plane(&args.scenes[*k])).collect::<Result<Vec<_>>>()?;
+        let waiting = Waiting::new("plan");
         let mut plan = plan(&stage.lens, &scenes, &stage.frame, &density, args.request()?, args.options())?;
+        drop(waiting);
         if !plan.holds {
             let text = shortfall(plan.predicted_db, args.min_psnr_db.unwrap_or(DEFAULT_DB), "--min-psnr-db");
             crate::tell!("warning: {text}");

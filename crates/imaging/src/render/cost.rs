@@ -26,9 +26,9 @@ const SPLAT: (f64, f64) = (1.2e-8, 8e-10);
 /// Seconds a point of a kernel's raster and wavelength, channels included.
 const POINT: f64 = 1.5e-9;
 /// Seconds of a kernel by diffraction of a wavelength: constant, and a point of its raster.
-const BENT: (f64, f64) = (4e-3, 5e-7);
+const BENT: (f64, f64) = (1.1e-3, 5e-8);
 /// Seconds of the convolution by an open pupil's diffraction: constant, and a point of a channel's raster.
-const OPEN: (f64, f64) = (1e-3, 1.5e-7);
+const OPEN: (f64, f64) = (6e-4, 1.8e-7);
 /// Seconds to sample the scene: a place, a channel.
 const SAMPLE: (f64, f64) = (1.2e-8, 4e-9);
 /// Fields a table has, about.
