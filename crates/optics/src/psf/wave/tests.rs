@@ -279,6 +279,8 @@ fn kernels_are_sums_of_wavelets() {
         ("cooke_triplet", Some(16.0), 18.0, 0.0, 0.9),
         ("phone", None, 3.2, 0.0, 0.8),
         ("phone", Some(5.6), 3.2, 0.0, 0.4),
+        // 47 degrees off the axis.
+        ("hologon", Some(11.0), 17.0, 0.0, 0.95),
     ] {
         let (lens, optics) = traced(name, f_number, radius, vergence);
         let at = share * radius;
