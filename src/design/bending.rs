@@ -3,8 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::data::Textures;
-use super::joint::run::JUDGED;
-use super::places::Places;
+use super::places::{JUDGED, Places};
 use super::task::Task;
 use isoplanat_base::error::Result;
 use isoplanat_imaging::frame::Frame;

@@ -6,7 +6,7 @@
 use super::data::{LARGEST, TEXTURE};
 use super::evaluate::verdict;
 use super::evaluate::{CONTEXT, Pictures, SHEET, Settings};
-use super::joint::run::JUDGED;
+use super::places::JUDGED;
 use super::task::Task;
 use isoplanat_base::error::Result;
 use isoplanat_base::math::memory::{BASE, product, threads};

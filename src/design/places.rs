@@ -24,6 +24,9 @@ pub enum Spread {
 /// Places at most along a side of the frame.
 const ALONG: usize = 256;
 
+/// Patches that settings are chosen by, and their side at most, pixels: converged kernels of large ones take much memory.
+pub(in crate::design) const JUDGED: (usize, usize) = (6, 96);
+
 /// The places of patches of one size on a frame.
 #[derive(Clone, Debug)]
 pub(crate) struct Places {

@@ -18,7 +18,7 @@ use super::{Joint, Report};
 use crate::design::bending;
 use crate::design::chain::Patch;
 use crate::design::data::Textures;
-use crate::design::places::Places;
+use crate::design::places::{JUDGED, Places};
 use crate::design::schedule::Schedule;
 use isoplanat_base::error::Result;
 use isoplanat_imaging::develop::simulate::Electronics;
@@ -39,8 +39,6 @@ pub(in crate::design) const SMOOTH: usize = 10;
 const PICTURES: u64 = 24;
 /// Steps between plans.
 const REPLAN: usize = 25;
-/// Patches that settings are chosen by, and their side at most, pixels: converged kernels of large ones take much memory.
-pub(in crate::design) const JUDGED: (usize, usize) = (6, 96);
 /// The step at which settings are chosen again for the first time; then at every doubling.
 const AGAIN: usize = 100;
 /// Share of a length in time after which it becomes one in steps: half, or when the lens has stood still for a while, since steps with
