@@ -44,7 +44,7 @@ pub struct JointSettings {
     pub tolerances: Option<Tolerances>,
     /// Of how many draws the one with the largest spots is taken.
     pub worst_of: usize,
-    /// How finely it is rendered; `None`: as finely as the lens gradient needs ([`cheapest`]).
+    /// How finely it is rendered; `None`: as finely as the lens gradient needs.
     pub settings: Option<Settings>,
 }
 
