@@ -198,6 +198,7 @@ fn line_of(text: &str, key: &str) -> Option<usize> {
 mod tests {
     use super::super::Origin;
     use super::*;
+    use isoplanat_imaging::render::Diffraction;
 
     /// A file of both schemas that says the same is the same task: every key that schema 1 had, each with a value that is not its default.
     #[test]
@@ -430,9 +431,23 @@ mod tests {
 
     #[test]
     fn other_schemas_are_refused() {
-        for (text, found) in [("schema = 3", "3"), ("lens.file = \"a\"", "none"), ("schema = \"1\"", "\"1\"")] {
+        for (text, found) in [("schema = 4", "4"), ("lens.file = \"a\"", "none"), ("schema = \"1\"", "\"1\"")] {
             let error = Task::parse(text, "a.toml").expect_err(text).to_string();
-            assert_eq!(error, format!("a.toml: schema: {found}; 1 or 2"));
+            assert_eq!(error, format!("a.toml: schema: {found}; 1, 2 or 3"));
         }
+    }
+
+    /// Where a task of before says nothing of diffraction its pictures are of rays; one of today leaves it to them. What is said is said in each.
+    #[test]
+    fn tasks_of_before_are_of_rays() {
+        let how = |text: &str| Task::parse(text, "a.toml").expect("a task").pictures.diffraction;
+        assert_eq!(how("schema = 1\nlens = \"heliar\""), Diffraction::Off);
+        assert_eq!(how("schema = 2\nlens.file = \"heliar\""), Diffraction::Off);
+        assert_eq!(how("schema = 3\nlens.file = \"heliar\""), Diffraction::Auto);
+        assert_eq!(how("schema = 2\npictures.diffraction = true"), Diffraction::On);
+        assert_eq!(how("schema = 3\npictures.diffraction = false"), Diffraction::Off);
+        // As it is written it is read again.
+        let before = Task::parse("schema = 2\nlens.file = \"heliar\"", "a.toml").expect("a task");
+        assert_eq!(how(&before.to_toml().expect("writes")), Diffraction::Off);
     }
 }
