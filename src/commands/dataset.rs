@@ -2,7 +2,7 @@
 
 use std::io::Write;
 use std::path::PathBuf;
-use std::sync::OnceLock;
+use std::sync::{Mutex, OnceLock};
 
 use isoplanat::dataset::{Crops, Form, Judging, Made, Part, Planned, Settings, make};
 use isoplanat::imaging::render::shortfall;
@@ -16,7 +16,7 @@ use crate::input;
 use crate::memory;
 use crate::named::Named;
 use crate::output::{Common, distinct_stems};
-use crate::progress::Bar;
+use crate::progress::{Bar, Waiting};
 use crate::scene::{RasterArgs, check_texels};
 
 /// Pairs of capture and truth of lenses and photographs.
@@ -184,9 +184,10 @@ impl Args {
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let settings = args.settings()?;
     // What is refused is refused in one line: the bar begins with the writing.
-    let bar = OnceLock::new();
+    let (bar, waiting) = (OnceLock::new(), Mutex::new(Some(Waiting::new("plan"))));
     let made = make(&settings, &args.output, &|share, what| {
         if !what.is_empty() {
+            drop(waiting.lock().ok().and_then(|mut w| w.take()));
             bar.get_or_init(|| Bar::new("dataset")).set(share, what.to_owned());
         }
         true

@@ -93,8 +93,6 @@ pub(super) const MANY: f64 = 30.0;
 const FEW: f64 = 8.0;
 const WIDE: usize = 65;
 const FEWER: usize = 4;
-/// Share of the mean square error asked for that leaving diffraction out may make.
-pub(super) const LEFT: f64 = 0.1;
 /// Largest half-width of the kernels that are compared, cells.
 const WIDEST: usize = 200;
 /// Largest cells of a perfect lens's kernels, `λ/NA`.
@@ -117,12 +115,12 @@ pub(super) struct Bent {
 }
 
 impl Draft<'_> {
-    /// What `how` says, or what a few places of the scenes over `region` tell where it is left to them; `target` is the mean square error asked for.
+    /// What `how` says, or what a few places of the scenes over `region` tell where it is left to them: the first model that leaves out at most `enough`, a mean square error.
     pub(super) fn bent(
         &self,
         lens: &Lens,
         region: Option<Region>,
-        (how, target): (Diffraction, f64),
+        (how, enough): (Diffraction, f64),
     ) -> Result<Option<Bent>> {
         if how == Diffraction::Off {
             return Ok(None);
@@ -162,7 +160,6 @@ impl Draft<'_> {
         let sharp_half = in_cells(bent(&[0], bend, &[1e-2])[0], self.first.bin).clamp(2, half);
         let narrow = Probing { size: 2 * sharp_half + 1, ..probing };
         let mut of_rays = 4.0 * seen(&narrow.between(&stands, &self.sharp(bend_mm, sharp_half)));
-        let enough = LEFT * target;
         let rays = |of_rays, bytes, candidates| {
             let candidates = Some(candidates);
             Bent { model: Model::Rays, of_rays, left_out: of_rays, bytes, light: None, candidates }

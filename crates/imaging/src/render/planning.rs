@@ -1,6 +1,6 @@
 //! Planning: from lens and scenes to the settings that hold what is asked for.
 
-use super::bending::{Bent, Diffraction, LEFT};
+use super::bending::{Bent, Diffraction};
 use super::choose::{Choice, Ladders, bound, told};
 use super::coarse::cells;
 use super::draft::Draft;
@@ -20,6 +20,9 @@ use isoplanat_optics::psf::{Model, Optics, OpticsSpec};
 
 /// Spacing of the nodes where nothing is left out, cells.
 const FULL_SPACING: usize = 16;
+
+/// Share of the mean square error asked for that leaving diffraction out may make.
+const LEFT: f64 = 0.1;
 
 /// What a plan is asked beside its request.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -64,7 +67,7 @@ pub fn plan(
         (Request::Settings(_), Diffraction::Auto) => Diffraction::Off,
         (_, how) => how,
     };
-    let bent = draft.bent(lens, lit, (how, target))?;
+    let bent = draft.bent(lens, lit, (how, LEFT * target))?;
     // What was asked for lacks nothing.
     let left_out = bent.as_ref().filter(|b| how == Diffraction::Auto && b.model != Model::Waves).map(|b| b.left_out);
     let draft = match bent.as_ref().and_then(|b| b.light.as_ref()) {
@@ -112,17 +115,16 @@ pub fn enough_diffraction(
     density: &SpectralDensity,
     left_db: f64,
 ) -> Result<Model> {
-    let left = 10f64.powf(-0.1 * left_db);
-    Ok(looked(lens, scenes, frame, density, left / LEFT)?.map_or(Model::Rays, |b| b.model))
+    Ok(looked(lens, scenes, frame, density, 10f64.powf(-0.1 * left_db))?.map_or(Model::Rays, |b| b.model))
 }
 
-/// What a few places of `scenes` tell of diffraction, where the mean square error `target` is asked for; nothing where no light is.
+/// What a few places of `scenes` tell of diffraction, where a mean square error of `enough` may be left out; nothing where no light is.
 fn looked(
     lens: &Lens,
     scenes: &[Plane],
     frame: &Frame,
     density: &SpectralDensity,
-    target: f64,
+    enough: f64,
 ) -> Result<Option<Bent>> {
     let vergence = common_vergence(scenes)?;
     density.require(lens)?;
@@ -130,7 +132,7 @@ fn looked(
     let draft = Draft::new(lens, scenes, frame, density, (Request::Settings(settings), false), vergence)?;
     let lit = draft.region.filter(|_| !draft.needs.channels.lit.is_empty());
     let Some(region) = lit else { return Ok(None) };
-    draft.bent(lens, Some(region), (Diffraction::Auto, target))
+    draft.bent(lens, Some(region), (Diffraction::Auto, enough))
 }
 
 /// The distance that all `scenes` stand at, as vergence.
