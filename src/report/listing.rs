@@ -40,6 +40,8 @@ struct Row {
     zernike: Option<Terms<Vec<f64>>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     xy: Option<Terms<BTreeMap<String, f64>>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    ideal_focal_length_mm: Option<f64>,
     thickness_mm: f64,
     medium: String,
     medium_source: String,
@@ -91,6 +93,7 @@ fn form(s: &Surface, stop: bool) -> String {
     form.extend(terms.map(|(j, a)| format!("a{} {}", 2 * j + 3, significant(*a, 5))));
     form.extend(shape.zernike.as_ref().map(|z| format!("{} Zernike terms", z.terms().len())));
     form.extend(shape.xy.as_ref().map(|p| format!("{} xy terms", p.terms().len())));
+    form.extend(shape.ideal.map(|f| format!("ideal lens of {} mm", significant(f, 7))));
     form.extend(s.pose.filter(|p| !p.is_nominal()).map(|_| "displaced".to_owned()));
     form.join(", ")
 }
@@ -174,6 +177,7 @@ impl<'a> Listing<'a> {
                 radius_mm: p.radius(),
                 terms: p.orders().iter().zip(p.terms()).map(|((i, j), c)| (format!("x{i}y{j}"), *c)).collect(),
             }),
+            ideal_focal_length_mm: s.shape.ideal,
             thickness_mm: s.thickness,
             medium: s.medium.to_string(),
             medium_source: s.medium.source(),

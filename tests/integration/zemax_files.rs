@@ -466,3 +466,76 @@ fn configurations_are_those_of_their_operands() {
         assert!(ran.code == 2 && ran.err.contains(expected), "{command}: {}", ran.err);
     }
 }
+
+/// An ideal lens: light of any direction meets at `f tan θ`, files of both kinds keep it, and every way from lens to picture takes it.
+#[test]
+fn an_ideal_lens_images_as_first_order_optics_says() {
+    let text = file(
+        "",
+        "SURF 1\n  STOP\n  TYPE PARAXIAL\n  CURV 0\n  PARM 1 50\n  PARM 2 1\n  DISZ 50\n  DIAM 6\nSURF 2\n  CURV 0\n  DISZ 0\n",
+    );
+    let imported = read(&text);
+    told(&imported, "an ideal lens of 50 mm");
+    let mut lenses = vec![imported.lens];
+    lenses.extend(case("paraxial").map(|i| i.lens));
+    for lens in &lenses {
+        let first = paraxial::first_order(lens, NM);
+        assert_eq!((first.effective_focal_length, first.back_focal_length), (50.0, 50.0));
+        for tangent in [0.0, 0.05, 1.3] {
+            for (x, y) in [(0.0, 4.9), (-3.0, 2.0), (4.0, -1.0)] {
+                let back = DVec3::new(x, y - 9.0 * tangent, -9.0);
+                let (at, _) = landing(lens, back, DVec3::new(0.0, tangent, 1.0));
+                assert_abs((at - DVec3::new(0.0, 50.0 * tangent, 0.0)).length(), 0.0, 1e-12, "one point");
+            }
+        }
+        for form in [Form::Zmx, Form::Toml] {
+            let (text, _) = text_of(lens, form, Glasses::shipped()).expect("writes");
+            let again = parse(&text, form, "again", Glasses::shipped()).expect("reads").lens;
+            assert_eq!((&again.surfaces, again.stop, again.aperture), (&lens.surfaces, lens.stop, lens.aperture));
+        }
+        let error = text_of(lens, Form::Seq, Glasses::shipped()).expect_err("no form in a sequence").to_string();
+        assert!(error.contains("surface[0].ideal_focal_length_mm: 50"), "{error}");
+    }
+    for (from, to, why) in [
+        ("  PARM 1 50\n", "", "PARM 1"),
+        ("PARM 1 50", "PARM 1 0", "PARM 1"),
+        ("DISZ 50", "DISZ 50\n  GLAS N-BK7 0 0", "air on both sides"),
+    ] {
+        let error = refused(&text.replacen(from, to, 1));
+        assert!(error.contains(why) && error.contains("SURF 1"), "{error}");
+    }
+    let place = Workplace::new();
+    place.write("a.zmx", text);
+    assert_eq!(place.run("convert a.zmx a.toml").code, 0);
+    let toml = std::fs::read_to_string(place.path("a.toml")).expect("reads");
+    place.write(
+        "near.toml",
+        toml.replacen("distance_mm = inf", "distance_mm = 150.0", 1).replacen(
+            "thickness_mm = 50.0",
+            "thickness_mm = 75.0",
+            1,
+        ),
+    );
+    place.write("bent.toml", toml.replacen("radius_mm = inf", "radius_mm = 80.0", 1));
+    let bent = place.run("inspect bent.toml");
+    assert!(bent.code == 2 && bent.err.contains("an ideal lens is a plane"), "{}", bent.err);
+    for lens in ["a.toml", "near.toml"] {
+        assert_eq!(place.run(&format!("check {lens}")).code, 0, "{lens}");
+        let spots = place.run(&format!("spot {lens} --json"));
+        let spots: serde_json::Value = serde_json::from_str(&spots.out).expect("JSON");
+        for field in spots["fields"].as_array().expect("fields") {
+            let [rms, strehl] = ["rms_mm", "strehl"].map(|key| field[key].as_f64().expect("a number"));
+            assert!(rms < 1e-9, "{lens}: {rms}");
+            assert_abs(strehl, 1.0, 1e-3, lens);
+        }
+        // Both ways to a picture, and kernels by diffraction.
+        for command in [
+            "render L facades -o a.png --force --columns 90 --rows 60",
+            "render L facades -o b.png --force --columns 90 --rows 60 --diffraction on",
+            "capture L facades -o c.dng --force --columns 90 --rows 60 --samples 256",
+        ] {
+            let ran = place.run(&command.replace('L', lens));
+            assert_eq!(ran.code, 0, "{command} of {lens}: {}", ran.err);
+        }
+    }
+}

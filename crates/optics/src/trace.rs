@@ -43,6 +43,7 @@ pub(crate) mod exit_pupil;
 #[doc(hidden)]
 pub mod first_root;
 pub mod health;
+mod ideal;
 pub mod intersect;
 mod landing;
 #[doc(hidden)]

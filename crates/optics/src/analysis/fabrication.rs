@@ -19,7 +19,7 @@ use self::tolerances::Tolerances;
 use crate::interchange::on_one_axis;
 use crate::lens::Lens;
 use crate::lens::paraxial::{FirstOrder, first_order};
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 
 /// Heights at which an air space is looked at.
 const HEIGHTS: u32 = 256;
@@ -79,9 +79,13 @@ impl Fabrication {
     /// Of `lens`, with what a file states.
     ///
     /// # Errors
-    /// Freeform, tilted or decentred surfaces, named; tables of the file for parts that the lens does not have; a mechanical diameter smaller than a clear one.
+    /// Freeform, tilted or decentred surfaces and ideal lenses, named; tables of the file for parts that the lens does not have; a mechanical diameter smaller than a clear one.
     pub fn new(lens: &Lens, tolerances: &Tolerances, mount: Option<Mount>) -> Result<Self> {
         on_one_axis(lens, "fabrication sheets")?;
+        if let Some(i) = lens.surfaces.iter().position(|s| s.shape.ideal.is_some()) {
+            let place = Location::surface(i).key("ideal_focal_length_mm");
+            return Err(Error::bad(lens.file(), place, "an ideal lens", "surfaces of glass, which can be made"));
+        }
         let elements = elements(lens, |first| tolerances.element(first).diameter_mm);
         let faces: Vec<usize> = elements.iter().flat_map(|e| e.faces.iter().map(|f| f.surface)).collect();
         tolerances.require(&elements.iter().map(Element::first).collect::<Vec<_>>(), &faces)?;

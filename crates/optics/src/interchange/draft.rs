@@ -86,6 +86,8 @@ pub(super) struct Stage {
     pub(super) even: Vec<f64>,
     /// Terms in r³, r⁵, …, mm.
     pub(super) odd: Vec<f64>,
+    /// Focal length of an ideal lens, mm.
+    pub(super) ideal: Option<f64>,
     /// Distance to the next surface, mm.
     pub(super) thickness: f64,
     /// Where a solve puts the next surface at the paraxial image: how far beyond it, mm.
@@ -106,6 +108,7 @@ impl Stage {
             conic: 0.0,
             even: Vec::new(),
             odd: Vec::new(),
+            ideal: None,
             thickness: 0.0,
             solved: None,
             medium: Stated::Air,
@@ -117,7 +120,7 @@ impl Stage {
 
     /// Whether it is a plane, for marking a place.
     pub(super) fn is_flat(&self) -> bool {
-        self.curvature == 0.0 && self.even.iter().chain(&self.odd).all(|a| *a == 0.0)
+        self.curvature == 0.0 && self.ideal.is_none() && self.even.iter().chain(&self.odd).all(|a| *a == 0.0)
     }
 }
 

@@ -200,6 +200,7 @@ fn surface(
     }
     let mut shape = Shape::even(stage.curvature, stage.conic, trimmed(&stage.even));
     shape.odd = trimmed(&stage.odd);
+    shape.ideal = stage.ideal;
     shape.refresh();
     let semi_diameter = stage.semi_diameter.or(stage.computed).unwrap_or(1.0);
     Ok(Surface { shape, thickness: stage.thickness, medium, semi_diameter, pose: None })

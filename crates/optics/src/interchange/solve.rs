@@ -25,7 +25,7 @@ pub(super) fn on_axis(draft: &Draft, stages: &mut [Stage], glasses: &Glasses) ->
     for stage in stages {
         let Ok(behind) = stage.medium.resolve(glasses, &draft.catalogues).map(|m| m.index(*nm)) else { break };
         let curvature = stage.curvature + 2.0 * stage.even.first().copied().unwrap_or(0.0);
-        angle -= height * curvature * (behind - before);
+        angle -= height * stage.ideal.map_or(curvature * (behind - before), f64::recip);
         let image = Some(-height * behind / angle).filter(|d| d.is_finite());
         found.push(OnAxis { height, image });
         if let (Some(beyond), Some(distance)) = (stage.solved, image) {

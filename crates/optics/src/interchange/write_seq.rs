@@ -19,7 +19,12 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
     for (i, s) in lens.surfaces.iter().enumerate() {
         let medium = medium(lens, &s.medium, glasses, &mut private);
         // `on_one_axis` has refused what is not symmetric.
-        let Shape { curvature, conic, asphere, odd, zernike: _, xy: _ } = &s.shape;
+        let Shape { curvature, conic, asphere, odd, zernike: _, xy: _, ideal } = &s.shape;
+        if let Some(f) = ideal {
+            let place = Location::surface(i).key("ideal_focal_length_mm");
+            let allowed = "surfaces that refract: a sequence has no ideal lens; .zmx and .toml have";
+            return Err(Error::bad(lens.file(), place, f.to_string(), allowed));
+        }
         let _ = writeln!(body, "S {} {}{medium}", plain(*curvature), plain(s.thickness));
         let even = asphere.iter().enumerate().filter(|(_, a)| **a != 0.0).map(|(k, _)| 2 * (k + 1));
         let odd = odd.iter().enumerate().filter(|(_, a)| **a != 0.0).map(|(k, _)| 2 * k + 3);

@@ -116,10 +116,11 @@ fn surface(
         out.push_str("  STOP\n");
     }
     // `on_one_axis` has refused what is not symmetric.
-    let Shape { curvature, conic, asphere, odd: odd_terms, zernike: _, xy: _ } = &s.shape;
+    let Shape { curvature, conic, asphere, odd: odd_terms, zernike: _, xy: _, ideal } = &s.shape;
     let used = |terms: &[f64]| terms.iter().rposition(|a| *a != 0.0).map_or(0, |last| last + 1);
     let (even, odd) = (used(asphere), used(odd_terms));
     let kind = match (even, odd) {
+        _ if ideal.is_some() => "PARAXIAL",
         (0, 0) => "STANDARD",
         (1..=8, 0) => "EVENASPH",
         (0..=4, 1..=3) => "ODDASPHE",
@@ -127,6 +128,9 @@ fn surface(
         _ => "XOSPHERE",
     };
     let _ = writeln!(out, "  TYPE {kind}\n  CURV {} 0 0 0 0 \"\"", plain(*curvature));
+    if let Some(f) = ideal {
+        let _ = writeln!(out, "  PARM 1 {}\n  PARM 2 1", plain(*f));
+    }
     let powers = (1..=even).map(|k| 2 * k).zip(asphere).chain((1..=odd).map(|k| 2 * k + 1).zip(odd_terms));
     let step = if ["EVENASPH", "XASPHERE"].contains(&kind) { 2 } else { 1 };
     if kind.starts_with('X') {

@@ -28,6 +28,12 @@ impl Prescription {
         self.check_numbers(file)?;
         for (i, s) in self.surfaces.iter().enumerate() {
             check_surface(s, i, file)?;
+            let before = i.checked_sub(1).map_or(&Medium::Air, |k| &self.surfaces[k].medium);
+            if s.shape.ideal.is_some() && [before, &s.medium] != [&Medium::Air; 2] {
+                let place = Location::surface(i).key("ideal_focal_length_mm");
+                let found = format!("between {before} and {}", s.medium);
+                return Err(Error::bad(file, place, found, "air on both sides of an ideal lens"));
+            }
         }
         if let Aperture::FNumber(number) = self.aperture
             && self.is_powerless()
@@ -174,6 +180,10 @@ fn check_table(medium: &Medium, surface: usize, file: &str) -> Result<()> {
 pub(crate) fn check_surface(s: &Surface, surface: usize, file: &str) -> Result<()> {
     let place = |key: &str| Location::surface(surface).key(key);
     let (shape, semi_diameter) = (&s.shape, s.semi_diameter);
+    if shape.ideal.is_some() && (shape.curvature != 0.0 || shape.is_aspheric()) {
+        let allowed = "radius_mm = inf and no terms: an ideal lens is a plane";
+        return Err(Error::bad(file, place("ideal_focal_length_mm"), "a form beside it", allowed));
+    }
     if semi_diameter > shape.reach() {
         let allowed = format!("at most the conic's reach of {:.6} mm", shape.reach());
         return Err(Error::bad(file, place("semi_diameter_mm"), semi_diameter.to_string(), allowed));

@@ -1,11 +1,11 @@
 //! Paraxial trace (y–nu) and first-order data, with adjoint.
 //!
-//! With `w = n u`: refraction `w' = w − y φ`, `φ = (n' − n)(c + 2 a₂)`; transfer `y' = y + (t/n') w'`. An `r²` term
+//! With `w = n u`: refraction `w' = w − y φ`, `φ = (n' − n)(c + 2 a₂)` or an ideal lens's own; transfer `y' = y + (t/n') w'`. An `r²` term
 //! belongs to the paraxial power and is folded in.
 
 use isoplanat_base::error::{Error, Result};
 
-use super::{Aperture, Field, Lens, LensGradient, Prescription, Shape};
+use super::{Aperture, Field, Lens, LensGradient, Prescription, Surface};
 
 /// First-order data at one wavelength, mm.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -105,11 +105,9 @@ fn sweep_vjp(
             w_bar += y_bar * reduced;
         }
         let y_in = state[i][0];
-        let c = vertex_curvature(lens, i);
-        let power_bar = -w_bar * y_in;
-        Shape::vertex_curvature_vjp(power_bar * (n[i + 1] - n[i]), &mut g.surfaces[i].shape);
-        n_bar[i + 1] += power_bar * c;
-        n_bar[i] -= power_bar * c;
+        let by_index = s.shape.power_vjp(n[i], n[i + 1], -w_bar * y_in, &mut g.surfaces[i].shape);
+        n_bar[i] += by_index[0];
+        n_bar[i + 1] += by_index[1];
         y_bar -= w_bar * power(lens, n, i);
         y_bar += bars[i][0];
         w_bar += bars[i][1];
@@ -121,7 +119,46 @@ fn vertex_curvature(lens: &Prescription, i: usize) -> f64 {
 }
 
 fn power(lens: &Prescription, n: &[f64], i: usize) -> f64 {
-    (n[i + 1] - n[i]) * vertex_curvature(lens, i)
+    lens.surfaces[i].shape.power(n[i], n[i + 1])
+}
+
+/// Of every surface that is an ideal lens, and 0 of the others: half of what the reduced vergence of the object before it exceeds that
+/// of its image behind it by, `(n/s − n'/s')/2`, 1/mm. Object and image are those of the lens's own object on the axis; none at all for
+/// a lens without ideal ones. An object on the lens itself counts as one next to it.
+pub(crate) fn conjugates(lens: &Prescription, nm: f64) -> Vec<f64> {
+    if lens.surfaces.iter().all(|s| s.shape.ideal.is_none()) {
+        return Vec::new();
+    }
+    let states = sweep(lens, &lens.indices(nm), 1.0, lens.object_vergence);
+    let conjugate = |(s, [y, w]): (&Surface, &[f64; 2])| {
+        let power = s.shape.ideal_power()?;
+        Some((w / y - 0.5 * power).clamp(-NEAREST, NEAREST))
+    };
+    lens.surfaces.iter().zip(&states).map(|s| conjugate(s).unwrap_or(0.0)).collect()
+}
+
+/// Largest [`conjugates`], 1/mm: an object a nanometre before an ideal lens.
+const NEAREST: f64 = 1e6;
+
+/// Pulls cotangents on [`conjugates`] back to the lens and the indices.
+pub(crate) fn conjugates_vjp(lens: &Prescription, nm: f64, bars: &[f64], g: &mut LensGradient, n_bar: &mut [f64]) {
+    if bars.iter().all(|bar| *bar == 0.0) {
+        return;
+    }
+    let n = lens.indices(nm);
+    let states = sweep(lens, &n, 1.0, lens.object_vergence);
+    let mut state_bars = vec![[0.0; 2]; states.len()];
+    for (i, bar) in bars.iter().enumerate().take(lens.surfaces.len()) {
+        let shape = &lens.surfaces[i].shape;
+        let Some(power) = shape.ideal_power() else { continue };
+        let [y, w] = states[i];
+        if (w / y - 0.5 * power).abs() >= NEAREST {
+            continue;
+        }
+        state_bars[i] = [-bar * w / (y * y), bar / y];
+        shape.ideal_power_vjp(-0.5 * bar, &mut g.surfaces[i].shape);
+    }
+    sweep_vjp(lens, &n, &states, &state_bars, g, n_bar);
 }
 
 /// First-order data at `nm`. An afocal lens has infinite focal length; callers that need one check it.
@@ -376,6 +413,35 @@ mod tests {
                     assert_rel(left, right, 1e-10, 1e-12, &format!("{name} {of}"));
                 }
             }
+        }
+    }
+
+    /// [`conjugates`] of a lens with an ideal one behind it: half of what the vergence of the object before it exceeds that of the image
+    /// behind it by; and its adjoint against differences of every number.
+    #[test]
+    fn conjugates_vjp_agrees_with_differences() {
+        let [.., lens] = crate::lens::test_lenses::every_kind();
+        let lens = lens.changed(|l| l.object_vergence = 1.0 / 400.0).expect("a lens");
+        let last = lens.surfaces.len() - 1;
+        let at = |l: &Prescription| conjugates(l, 550.0)[last];
+        // The image of the surfaces before stands behind the ideal lens: a virtual object.
+        let without = lens.changed(|l| {
+            l.surfaces.pop();
+        });
+        let before = first_order(&without.expect("a lens"), 550.0).paraxial_image_distance;
+        let object = lens.surfaces[last - 1].thickness - before;
+        let image = first_order(&lens, 550.0).paraxial_image_distance;
+        assert_rel(at(&lens), 0.5 * (1.0 / object - 1.0 / image), 1e-12, 0.0, "vergences");
+        let mut bars = vec![0.0; last + 1];
+        bars[last] = 1.0;
+        let (mut g, mut n_bar) = (LensGradient::zeros(&lens), vec![0.0; last + 2]);
+        conjugates_vjp(&lens, 550.0, &bars, &mut g, &mut n_bar);
+        g.add_indices(&lens, 550.0, &n_bar);
+        for p in crate::lens::Parameter::all(&lens) {
+            let variables = Variables::new(&lens, vec![p]);
+            let x = variables.values(&lens)[0];
+            let moved = |h: f64| at(&crate::lens::unchecked(&lens, |l| variables.put(l, &[x + h])));
+            assert_rel(variables.gradient(&g)[0], central_difference(moved, 1e-4), 1e-7, 1e-6, &p.name(&lens));
         }
     }
 

@@ -104,6 +104,8 @@ struct FileSurface {
     zernike: Option<FileZernike>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     xy: Option<FileXy>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    ideal_focal_length_mm: Option<f64>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -306,6 +308,7 @@ fn read_surface(i: usize, s: FileSurface, file: &str, glasses: &Glasses) -> Resu
         }
         (Some(r), None) => 1.0 / r,
         (None, Some(c)) => c,
+        (None, None) if s.ideal_focal_length_mm.is_some() => 0.0,
         _ => return Err(refuse("radius_mm", "radius and curvature both or neither".into(), "exactly one of the two")),
     };
     let (mut asphere, mut odd) = (Vec::new(), Vec::new());
@@ -322,7 +325,8 @@ fn read_surface(i: usize, s: FileSurface, file: &str, glasses: &Glasses) -> Resu
     }
     let zernike = s.zernike.map(|z| freeform::zernike(z, &place("zernike"), file)).transpose()?;
     let xy = s.xy.map(|p| freeform::xy(p, &place("xy"), file)).transpose()?;
-    let shape = Shape { curvature, conic: s.conic, asphere, odd, zernike, xy };
+    let ideal = s.ideal_focal_length_mm;
+    let shape = Shape { curvature, conic: s.conic, asphere, odd, zernike, xy, ideal };
     let medium = match s.medium {
         FileMedium::Name(name) => {
             glasses.find(&name, Naming::Own).map_err(|e| e.within(Location::surface(i)).in_file(file))?
@@ -383,7 +387,7 @@ fn terms(list: &[f64], from: usize) -> impl Iterator<Item = (String, f64)> {
 }
 
 fn write_surface(s: &Surface, stop: bool) -> FileSurface {
-    let Shape { curvature, conic, asphere, odd, zernike, xy } = &s.shape;
+    let Shape { curvature, conic, asphere, odd, zernike, xy, ideal } = &s.shape;
     // A radius that inverts exactly is what a reader expects; otherwise the curvature keeps every bit.
     let radius = 1.0 / curvature;
     let exact = 1.0 / radius == *curvature;
@@ -417,6 +421,7 @@ fn write_surface(s: &Surface, stop: bool) -> FileSurface {
         decentre_mm: s.pose.map(|p| p.decentre),
         zernike: zernike.as_ref().map(|z| FileZernike { radius_mm: z.radius(), terms: z.terms().to_vec() }),
         xy: xy.as_ref().map(freeform::write_xy),
+        ideal_focal_length_mm: *ideal,
     }
 }
 

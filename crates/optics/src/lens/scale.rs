@@ -8,8 +8,9 @@ impl Prescription {
     /// are: sag·factor at radius·factor.
     pub fn enlarge(&mut self, factor: f64) {
         for s in &mut self.surfaces {
-            let Shape { curvature, conic: _, asphere, odd: odd_terms, zernike, xy } = &mut s.shape;
+            let Shape { curvature, conic: _, asphere, odd: odd_terms, zernike, xy, ideal } = &mut s.shape;
             *curvature /= factor;
+            ideal.iter_mut().for_each(|f| *f *= factor);
             // a_n in mm^(1−n): n = 2, 4, … and 3, 5, …
             let square = factor * factor;
             let (mut even, mut odd) = (1.0 / factor, 1.0 / square);

@@ -71,7 +71,8 @@ fn at(lens: &Lens, nm: f64) -> Vec<Seidel> {
     for (i, s) in lens.surfaces.iter().enumerate() {
         let (before, after) = (n[i], n[i + 1]);
         let c = s.shape.vertex_curvature();
-        let refracted = |y: f64, u: f64| (before * u - y * (after - before) * c) / after;
+        let power = s.shape.power(before, after);
+        let refracted = |y: f64, u: f64| (before * u - y * power) / after;
         let (u_after, u_chief_after) = (refracted(y, u), refracted(y_chief, u_chief));
         let (a, a_chief) = (before * (u + y * c), before * (u_chief + y_chief * c));
         let lagrange = a * y_chief - a_chief * y;
@@ -83,7 +84,7 @@ fn at(lens: &Lens, nm: f64) -> Vec<Seidel> {
             + s.shape.asphere.get(1).copied().unwrap_or(0.0)
             - c.powi(3) / 8.0;
         let g = 8.0 * quartic * (after - before);
-        sums.push(Seidel {
+        let own = Seidel {
             spherical: -a * a * y * change + g * y.powi(4),
             coma: -a * a_chief * y * change + g * y.powi(3) * y_chief,
             astigmatism: -a_chief * a_chief * y * change + g * (y * y_chief).powi(2),
@@ -93,7 +94,9 @@ fn at(lens: &Lens, nm: f64) -> Vec<Seidel> {
                 + g * y * y_chief.powi(3),
             axial_colour: a * y * colour,
             lateral_colour: a_chief * y * colour,
-        });
+        };
+        // An ideal lens has no aberration.
+        sums.push(if s.shape.ideal.is_some() { Seidel::default() } else { own });
         (u, u_chief) = (u_after, u_chief_after);
         y += s.thickness * u;
         y_chief += s.thickness * u_chief;

@@ -29,6 +29,8 @@ pub struct Shape {
     pub zernike: Option<Zernike>,
     /// Polynomial in x and y.
     pub xy: Option<Xy>,
+    /// Focal length of an ideal lens, mm. Its surface is a plane in air, which bends light as first-order optics says.
+    pub ideal: Option<f64>,
 }
 
 impl Shape {
@@ -46,33 +48,61 @@ impl Shape {
 
     /// Whether anything beyond the conic is present.
     pub fn is_aspheric(&self) -> bool {
-        let Self { curvature: _, conic: _, asphere, odd, zernike, xy } = self;
+        let Self { curvature: _, conic: _, asphere, odd, zernike, xy, ideal: _ } = self;
         asphere.iter().chain(odd).any(|a| *a != 0.0) || zernike.is_some() || xy.is_some()
     }
 
     /// Whether the surface is rotationally symmetric about its own axis.
     pub fn is_symmetric(&self) -> bool {
-        let Self { curvature: _, conic: _, asphere: _, odd: _, zernike, xy } = self;
+        let Self { curvature: _, conic: _, asphere: _, odd: _, zernike, xy, ideal: _ } = self;
         zernike.is_none() && xy.is_none()
     }
 
     /// Whether it is a conic with at most `most` even terms and nothing else.
     pub(crate) fn is_even(&self, most: usize) -> bool {
-        let Self { curvature: _, conic: _, asphere, odd, zernike, xy } = self;
-        asphere.len() <= most && odd.is_empty() && zernike.is_none() && xy.is_none()
+        let Self { curvature: _, conic: _, asphere, odd, zernike, xy, ideal } = self;
+        asphere.len() <= most && odd.is_empty() && zernike.is_none() && xy.is_none() && ideal.is_none()
     }
 
     /// The surface without what breaks its symmetry.
     #[must_use]
     pub(crate) fn symmetric_part(self) -> Self {
-        let Self { curvature, conic, asphere, odd, zernike: _, xy: _ } = self;
-        Self { curvature, conic, asphere, odd, zernike: None, xy: None }
+        let Self { curvature, conic, asphere, odd, zernike: _, xy: _, ideal } = self;
+        Self { curvature, conic, asphere, odd, zernike: None, xy: None, ideal }
     }
 
     /// Curvature of the rotational part at the vertex, 1/mm: `c + 2a₂`.
     #[doc(hidden)]
     pub fn vertex_curvature(&self) -> f64 {
         self.curvature + 2.0 * self.asphere.first().copied().unwrap_or(0.0)
+    }
+
+    /// Power of an ideal lens, 1/mm.
+    pub(crate) fn ideal_power(&self) -> Option<f64> {
+        self.ideal.map(f64::recip)
+    }
+
+    /// Adds the pull-back of a cotangent on [`Self::ideal_power`] to the shape's cotangent `bar`.
+    pub(crate) fn ideal_power_vjp(&self, power_bar: f64, bar: &mut Self) {
+        if let (Some(f), Some(f_bar)) = (self.ideal, &mut bar.ideal) {
+            *f_bar -= power_bar / (f * f);
+        }
+    }
+
+    /// Power between media of the indices `n` and `n1`, 1/mm: `(n' − n)(c + 2a₂)`, or an ideal lens's own.
+    pub(crate) fn power(&self, n: f64, n1: f64) -> f64 {
+        self.ideal_power().unwrap_or_else(|| (n1 - n) * self.vertex_curvature())
+    }
+
+    /// Adds the pull-back of a cotangent on [`Self::power`] to the shape's cotangent `bar`; returns those of `n` and `n1`.
+    pub(crate) fn power_vjp(&self, n: f64, n1: f64, power_bar: f64, bar: &mut Self) -> [f64; 2] {
+        if self.ideal.is_some() {
+            self.ideal_power_vjp(power_bar, bar);
+            return [0.0; 2];
+        }
+        Self::vertex_curvature_vjp(power_bar * (n1 - n), bar);
+        let by_index = power_bar * self.vertex_curvature();
+        [-by_index, by_index]
     }
 
     /// Adds the pull-back of a cotangent on [`Self::vertex_curvature`] to the shape's cotangent `bar`.
@@ -234,7 +264,7 @@ impl Shape {
 
     /// Brings the freeform polynomials up to date after their terms were changed.
     pub fn refresh(&mut self) {
-        let Self { curvature: _, conic: _, asphere: _, odd: _, zernike, xy } = self;
+        let Self { curvature: _, conic: _, asphere: _, odd: _, zernike, xy, ideal: _ } = self;
         if let Some(z) = zernike {
             z.refresh();
         }
@@ -248,8 +278,8 @@ impl Shape {
     pub fn reversed(&self) -> Self {
         let mut reversed = self.clone();
         Kind::each_of(&mut reversed, |kind, _, list| {
-            // What is a ratio stays; whatever the sag is proportional to turns.
-            if kind != Kind::Conic {
+            // What is a ratio stays, and so does a focal length; whatever the sag is proportional to turns.
+            if ![Kind::Conic, Kind::IdealFocalLength].contains(&kind) {
                 list.iter_mut().for_each(|a| *a = -*a);
             }
         });
@@ -334,6 +364,34 @@ mod tests {
         assert_eq!(bar, Shape::sphere(2.0));
     }
 
+    /// [`Shape::power_vjp`] and [`Shape::ideal_power_vjp`] against differences of every number that a power has.
+    #[test]
+    fn power_vjp_is_the_transpose_of_the_jacobian() {
+        let refracting = Shape { curvature: 0.02, asphere: vec![1e-3], ..Shape::default() };
+        for shape in [refracting, Shape { ideal: Some(-70.0), ..Shape::default() }] {
+            let (n, n1) = (1.2, 1.7);
+            let mut bar = shape.zeros_like();
+            let [before, behind] = shape.power_vjp(n, n1, 1.5, &mut bar);
+            let mut alone = shape.zeros_like();
+            shape.ideal_power_vjp(1.5, &mut alone);
+            assert!(shape.ideal.is_none() || alone == bar);
+            let moved = |t: f64| {
+                let step = |x: f64, by: f64| x + t * by;
+                let s = Shape {
+                    curvature: step(shape.curvature, 1e-3),
+                    asphere: shape.asphere.iter().map(|a| step(*a, 1e-4)).collect(),
+                    ideal: shape.ideal.map(|f| step(f, 1.0)),
+                    ..Shape::default()
+                };
+                1.5 * s.power(step(n, 0.1), step(n1, -0.2))
+            };
+            let pulled =
+                1e-3 * bar.curvature + 1e-4 * bar.asphere.iter().sum::<f64>() + bar.ideal.unwrap_or(0.0) + 0.1 * before
+                    - 0.2 * behind;
+            assert_rel(pulled, central_difference(moved, 1e-3), 1e-9, 1e-6, "power");
+        }
+    }
+
     /// Every number of a freeform surface, and the place, against differences of value and slope.
     #[test]
     fn at_vjp_is_the_transpose_of_the_jacobian() {
@@ -351,6 +409,7 @@ mod tests {
                         7.0,
                         &[(1, 0, draw(1e-2)), (2, 1, draw(1e-2)), (0, 3, draw(1e-2)), (4, 5, draw(1e-3))],
                     )),
+                    ideal: None,
                 }
             };
             let (shape, step) = (make(rng, 1.0), make(rng, 1.0));

@@ -1,11 +1,11 @@
 //! Lenses that have every kind of number between them.
 
 use super::catalogue::{Glasses, Naming};
-use super::{Aperture, Lens, Medium, Prescription, Shape, builtin, paraxial, prescription};
+use super::{Aperture, Lens, Medium, Prescription, Shape, Surface, builtin, paraxial, prescription};
 
 /// One surface of the first carries all terms of a form, that of each other one kind of them alone; glasses, poses and an element stand among
-/// the others. The aperture is stated in each way.
-pub(crate) fn every_kind() -> [Lens; 4] {
+/// the others. The aperture is stated in each way. The fifth has an ideal lens behind it.
+pub(crate) fn every_kind() -> [Lens; 5] {
     let text = builtin::text("two_element").expect("shipped");
     let form = "radius_mm = 18.5\nconic = 0.3\ntilt_deg = [0.2, 0.1, 3.0]\ndecentre_mm = [0.02, -0.05]\n\
          asphere = { a2 = 1e-4, a3 = 1e-5, a4 = 1e-6 }\nzernike = { radius_mm = 12.0, terms = [0.0, 1e-3, 0.0, 2e-3] }\n\
@@ -36,5 +36,13 @@ pub(crate) fn every_kind() -> [Lens; 4] {
         };
         lens.changed(numbers).expect("a lens")
     });
-    std::array::from_fn(|_| each.next().expect("four"))
+    let [a, b, c, d] = std::array::from_fn(|_| each.next().expect("four"));
+    let ideal = b.changed(|l| {
+        let last = l.surfaces.len() - 1;
+        l.surfaces[last].thickness -= 3.0;
+        let shape = Shape { ideal: Some(-140.0), ..Shape::default() };
+        let semi_diameter = l.surfaces[last].semi_diameter;
+        l.surfaces.push(Surface { shape, thickness: 3.0, medium: Medium::Air, semi_diameter, pose: None });
+    });
+    [a, b, c, d, ideal.expect("a lens")]
 }

@@ -75,6 +75,7 @@ fn opened(lens: &Prescription, marked: &[bool], nm: f64, generous: f64) -> Syste
             let indices = [surface.index_before, surface.index_after];
             *surface = TraceSurface {
                 motion: surface.motion,
+                conjugate: surface.conjugate,
                 ..TraceSurface::new(surface.shape.clone(), surface.distance, indices, wide)
             };
         }

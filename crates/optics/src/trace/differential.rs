@@ -6,6 +6,7 @@
 use glam::DVec3;
 
 use super::System;
+use super::ideal::Ideal;
 use super::intersect::gradient;
 use super::sequential::Hit;
 
@@ -31,7 +32,9 @@ pub fn trace_jvp(system: &System, hits: &[Hit], launch: RayDot) -> RayDot {
         let g = gradient(&hit.at);
         let moved = point + hit.at.t * direction;
         point = moved - g.dot(moved) / g.dot(hit.incoming) * hit.incoming;
-        if surface.index_before != surface.index_after {
+        if let Some(ideal) = Ideal::of(surface) {
+            direction = ideal.bend_jvp(hit.at.point.truncate(), hit.incoming, point.truncate(), direction);
+        } else if surface.index_before != surface.index_after {
             let length = g.length();
             let normal = g / length;
             let flip = if normal.dot(hit.incoming) > 0.0 { -1.0 } else { 1.0 };

@@ -5,7 +5,6 @@
 //! lens (`w = 0`) is no special case. Tilts and freeform terms are left out.
 
 use super::{System, SystemGradient};
-use crate::lens::Shape;
 
 /// The ray from the stop's centre at the image plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -16,10 +15,6 @@ pub(crate) struct ExitPupil {
     pub w: f64,
 }
 
-fn vertex_curvature(system: &System, i: usize) -> f64 {
-    system.surfaces[i].shape.vertex_curvature()
-}
-
 /// States `(y, w)` behind each surface from the stop to the image plane.
 fn sweep(system: &System) -> Vec<[f64; 2]> {
     let (mut y, mut w) = (0.0, 1.0);
@@ -27,7 +22,7 @@ fn sweep(system: &System) -> Vec<[f64; 2]> {
     for i in system.stop + 1..system.surfaces.len() {
         let s = &system.surfaces[i];
         y += s.distance / s.index_before * w;
-        w -= y * (s.index_after - s.index_before) * vertex_curvature(system, i);
+        w -= y * s.shape.power(s.index_before, s.index_after);
         states.push([y, w]);
     }
     states
@@ -47,12 +42,11 @@ pub(crate) fn exit_pupil_vjp(system: &System, bar: &ExitPupil, out: &mut SystemG
         let s = &system.surfaces[i];
         let [_, w_in] = states[i - 1 - system.stop];
         let [y, _] = states[i - system.stop];
-        let (step, curvature) = (s.index_after - s.index_before, vertex_curvature(system, i));
-        Shape::vertex_curvature_vjp(-w_bar * y * step, &mut out.shapes[i]);
-        out.indices[i + 1] -= w_bar * y * curvature;
-        out.indices[i] += w_bar * y * curvature;
-        y_bar -= w_bar * step * curvature;
-        let n = s.index_before;
+        let (n, n1) = (s.index_before, s.index_after);
+        let by_index = s.shape.power_vjp(n, n1, -w_bar * y, &mut out.shapes[i]);
+        out.indices[i] += by_index[0];
+        out.indices[i + 1] += by_index[1];
+        y_bar -= w_bar * s.shape.power(n, n1);
         out.distances[i] += y_bar * w_in / n;
         out.indices[i] -= y_bar * s.distance * w_in / (n * n);
         w_bar += y_bar * s.distance / n;

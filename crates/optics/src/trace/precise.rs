@@ -120,6 +120,8 @@ struct PreciseSurface<S> {
     freeform: Vec<(S, Vec<Monomial<S>>)>,
     distance: S,
     indices: [S; 2],
+    /// Focal length of an ideal lens, and [`crate::trace::system::TraceSurface::conjugate`].
+    ideal: Option<[S; 2]>,
     /// Rotation (rows) and shift.
     motion: Option<([Vec3<S>; 3], Vec3<S>)>,
 }
@@ -174,6 +176,7 @@ impl<S: Scalar> PreciseSystem<S> {
                 .collect(),
                 distance: S::of(s.distance),
                 indices: [S::of(s.index_before), S::of(s.index_after)],
+                ideal: s.shape.ideal.map(|f| [f, s.conjugate].map(S::of)),
                 motion: s.motion.map(|m| {
                     let rows = m.rotation.transpose();
                     (
@@ -254,7 +257,11 @@ impl<S: Scalar> PreciseSystem<S> {
             let (t, slope) = surface.polish(origin, direction, hit.at.t)?;
             let mut point: Vec3<S> = std::array::from_fn(|k| origin[k] + t * direction[k]);
             path = path + surface.indices[0] * t;
-            if (surface.indices[0] - surface.indices[1]).to_f64() != 0.0 {
+            if let Some([f, conjugate]) = surface.ideal {
+                let added;
+                (direction, added) = ideal(f, conjugate, surface.indices, point, direction);
+                path = path + added;
+            } else if (surface.indices[0] - surface.indices[1]).to_f64() != 0.0 {
                 let mu = surface.indices[0] / surface.indices[1];
                 let length = (slope[0] * slope[0] + slope[1] * slope[1] + S::of(1.0)).root();
                 let mut normal = [slope[0] / length, slope[1] / length, -(S::of(1.0) / length)];
@@ -322,6 +329,23 @@ impl<S: Scalar> PreciseSystem<S> {
         }
         None
     }
+}
+
+/// An ideal lens of focal length `f`: the direction behind it and the path that it adds ([`super::ideal`]).
+fn ideal<S: Scalar>(f: S, conjugate: S, n: [S; 2], p: Vec3<S>, d: Vec3<S>) -> (Vec3<S>, S) {
+    let (one, two) = (S::of(1.0), S::of(2.0));
+    let m = [d[0] / d[2], d[1] / d[2]];
+    let behind: [S; 2] = std::array::from_fn(|k| (n[0] * m[k] - p[k] / f) / n[1]);
+    let long = |slope: [S; 2]| (slope[0] * slope[0] + slope[1] * slope[1] + one).root();
+    let vergences = [(one / (f + f) + conjugate) / n[0], (one / (f + f) - conjugate) / n[1]];
+    let mut path = S::of(0.0);
+    for (sign, slope, v, n) in [(S::of(-1.0), m, vergences[0], n[0]), (one, behind, vergences[1], n[1])] {
+        let from_vertex = std::array::from_fn(|k| slope[k] + sign * v * p[k]);
+        let squares = p[0] * (two * sign * slope[0] + v * p[0]) + p[1] * (two * sign * slope[1] + v * p[1]);
+        path = path + n * squares / (long(from_vertex) + long(slope));
+    }
+    let length = long(behind);
+    ([behind[0] / length, behind[1] / length, one / length], path)
 }
 
 fn in_element(lens: &Lens, surface: usize) -> bool {

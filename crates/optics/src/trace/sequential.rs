@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
+use super::ideal::Ideal;
 use super::intersect::{Intersection, gradient, intersect, intersect_vjp};
 use super::refract::{refract, refract_vjp};
 use super::{Cause, Failure, Ray, System, SystemGradient};
@@ -59,7 +60,10 @@ pub fn trace(system: &System, ray: Ray, last: usize, hits: &mut Vec<Hit>) -> Res
         path += surface.index_before * at.t;
         // Refract; equal media leave the direction alone to the last bit.
         let incoming = direction;
-        if surface.index_before != surface.index_after {
+        if let Some(ideal) = Ideal::of(surface) {
+            let (out, added) = ideal.bend(at.point.truncate(), incoming).ok_or_else(|| fail(Cause::Missed))?;
+            (direction, path) = (out, path + added);
+        } else if surface.index_before != surface.index_after {
             let g = gradient(&at);
             let mut normal = g / g.length();
             if normal.dot(direction) > 0.0 {
@@ -102,7 +106,14 @@ pub fn trace_vjp(system: &System, hits: &[Hit], bars: &[HitBar], out: &mut Syste
         let mut slope_bar = [0.0; 2];
         let (x, y) = (hit.at.point.x, hit.at.point.y);
         // Refraction.
-        if surface.index_before != surface.index_after {
+        if let Some(ideal) = Ideal::of(surface) {
+            let back = ideal.bend_vjp(hit.at.point.truncate(), hit.incoming, direction_bar, path_bar);
+            (point_bar, direction_bar) = (point_bar + back.point.extend(0.0), back.direction);
+            out.indices[i] += back.n[0];
+            out.indices[i + 1] += back.n[1];
+            out.conjugates[i] += back.conjugate;
+            surface.shape.ideal_power_vjp(back.power, &mut out.shapes[i]);
+        } else if surface.index_before != surface.index_after {
             let g = gradient(&hit.at);
             let length = g.length();
             let mut normal = g / length;

@@ -24,6 +24,8 @@ pub struct TraceSurface {
     pub domain: f64,
     /// Upper bound of the slope `|∇h|` within [`Self::domain`].
     pub steepest: f64,
+    /// Of an ideal lens: the pair of planes between which its paths are equal, 1/mm; see [`paraxial::conjugates`].
+    pub conjugate: f64,
 }
 
 /// The surface is taken to go on to this multiple of its clear semi-diameter.
@@ -43,6 +45,7 @@ impl TraceSurface {
             semi_diameter,
             motion: None,
             domain,
+            conjugate: 0.0,
         }
     }
 
@@ -55,6 +58,7 @@ impl TraceSurface {
             index_before: self.index_after,
             index_after: self.index_before,
             motion: self.motion.map(|m| m.mirrored()),
+            conjugate: -self.conjugate,
             ..*self
         }
     }
@@ -92,10 +96,12 @@ impl System {
         let mut surfaces = Vec::with_capacity(lens.surfaces.len() + 1);
         let mut distance = 0.0;
         let vertices = lens.vertices();
+        let conjugates = paraxial::conjugates(lens, nm);
         for (i, s) in lens.surfaces.iter().enumerate() {
             let semi_diameter = if i == lens.stop { stop_semi_diameter } else { s.semi_diameter };
             let mut surface = TraceSurface::new(s.shape.clone(), distance, [n[i], n[i + 1]], semi_diameter);
             surface.motion = placed(i, s.pose.as_ref(), &lens.elements, &vertices);
+            surface.conjugate = conjugates.get(i).copied().unwrap_or(0.0);
             surfaces.push(surface);
             distance = s.thickness;
         }
@@ -139,6 +145,8 @@ pub struct SystemGradient {
     pub stop_semi_diameter: f64,
     /// Places of the surfaces that state a pose.
     pub motions: Vec<Motion>,
+    /// Pairs of planes of ideal lenses.
+    pub conjugates: Vec<f64>,
 }
 
 impl SystemGradient {
@@ -152,6 +160,7 @@ impl SystemGradient {
             semi_diameters: vec![0.0; count],
             stop_semi_diameter: 0.0,
             motions: vec![Motion::ZERO; count],
+            conjugates: vec![0.0; count],
         }
     }
 
@@ -173,6 +182,7 @@ impl SystemGradient {
             semi_diameters: flipped(&self.semi_diameters),
             stop_semi_diameter: self.stop_semi_diameter,
             motions: self.motions.clone(),
+            conjugates: self.conjugates.iter().rev().map(|c| -c).collect(),
         }
     }
 
@@ -183,6 +193,7 @@ impl SystemGradient {
         add(&mut self.distances, &other.distances);
         add(&mut self.indices, &other.indices);
         add(&mut self.semi_diameters, &other.semi_diameters);
+        add(&mut self.conjugates, &other.conjugates);
         self.stop_semi_diameter += other.stop_semi_diameter;
         for (a, b) in self.motions.iter_mut().zip(&other.motions) {
             a.rotation += b.rotation;
@@ -204,6 +215,7 @@ impl SystemGradient {
         let mut indices = self.indices[..=image].to_vec();
         // The image plane stands in the last space.
         indices[image] += self.indices[image + 1];
+        paraxial::conjugates_vjp(lens, wavelength_nm, &self.conjugates, gradient, &mut indices);
         gradient.add_indices(lens, wavelength_nm, &indices);
         let stop_bar = self.stop_semi_diameter + self.semi_diameters[lens.stop];
         if stop_bar != 0.0 {

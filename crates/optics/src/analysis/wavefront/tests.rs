@@ -1,7 +1,7 @@
 //! Against `trace::wavefront`, closed forms, and the third-order sums.
 
 use super::*;
-use crate::lens::{Aperture, Field, Shape, builtin, paraxial, seidel, unchecked};
+use crate::lens::{Aperture, Field, Medium, Shape, Surface, builtin, paraxial, seidel, unchecked};
 use crate::psf::Model;
 use crate::psf::{Optics, OpticsSpec, Quadrature, SensorPoint};
 use crate::trace::system::TraceSurface;
@@ -153,4 +153,41 @@ fn strehl_ratios_are_those_of_the_wavefront() {
             assert!(found.centroid().x.abs() < 1e-6 && x.abs() < 1.0, "{}", found.centroid());
         }
     }
+}
+
+/// An ideal lens of f/1 has no wavefront error and no spot, near and far, on the axis and 30° off it; behind a real lens it adds none of its
+/// own: the double Gauss made afocal by it and focused again by another has the double Gauss's error.
+#[test]
+fn ideal_lenses_have_no_error() {
+    let lens = builtin::lens("double_gauss").expect("shipped");
+    let ideal = |f: f64, thickness: f64| Surface {
+        shape: Shape { ideal: Some(f), ..Shape::default() },
+        thickness,
+        medium: Medium::Air,
+        semi_diameter: 200.0,
+        pose: None,
+    };
+    for (vergence, image) in [(0.0, 50.0), (1.0 / 75.0, 150.0)] {
+        let alone = unchecked(&lens, |l| {
+            l.surfaces = vec![ideal(50.0, image)];
+            (l.stop, l.aperture, l.object_vergence) = (0, Aperture::StopSemiDiameter(25.0), vergence);
+        });
+        for degrees in [0.0, 30.0] {
+            let object = ObjectPoint::in_field(&alone, f64::to_radians(degrees), 0.7);
+            let map = Map::of_lens(&alone, object, 550.0, 24).expect("light");
+            assert_abs(map.figures.peak_to_valley, 0.0, 1e-9, &format!("{degrees}° at {vergence}"));
+            assert_abs(map.shift.length(), 0.0, 1e-9, "in focus");
+        }
+    }
+    let first = paraxial::first_order(&lens, 587.5618);
+    let (rear, f) = (lens.surfaces.len() - 1, first.effective_focal_length);
+    let relayed = unchecked(&lens, |l| {
+        // Light that is gathered towards the focus is made parallel before it, and gathered again.
+        l.surfaces[rear].thickness = first.back_focal_length - 0.2 * f;
+        l.surfaces.extend([ideal(-0.2 * f, 5.0), ideal(0.2 * f, 0.2 * f)]);
+    });
+    let focused = unchecked(&lens, |l| l.surfaces[rear].thickness = first.back_focal_length);
+    let [a, b] = [&focused, &relayed].map(|l| Map::of_lens(l, AXIS, 587.5618, 32).expect("light").figures.rms);
+    eprintln!("{a} {b} waves rms");
+    assert_rel(b, a, 1e-2, 0.0, "the double Gauss's own error");
 }

@@ -71,21 +71,22 @@ fn surface(part: &Part, notes: &mut Vec<String>) -> Result<Stage> {
     match kind.as_str() {
         "Spheric" | "Plane" => {}
         "Stop" | "Aperture" => stage.stop = true,
+        "ThinLens" => stage.ideal = Some(part.need("f")?.number()?),
         "Aspheric" => {
             stage.conic = part.get("k").map(|k| k.number()).transpose()?.unwrap_or(0.0);
             stage.even = terms(part)?;
         }
         other => {
             let found = format!("a surface of type {}", crate::interchange::text::shown(other));
-            return Err(part.refused(found, "Spheric, Aspheric, Plane, Aperture, Stop"));
+            return Err(part.refused(found, "Spheric, Aspheric, Plane, ThinLens, Aperture, Stop"));
         }
     }
     stage.semi_diameter = part.get("r").map(|r| r.number()).transpose()?.filter(|r| *r > 0.0);
     stage.thickness = part.get("d_next").map(|d| d.number()).transpose()?.unwrap_or(f64::NAN);
-    // A stop stands in air.
+    // A stop and a thin lens stand in air.
     let name = part.get("mat2").map(|m| m.text().map(str::to_owned)).transpose()?;
     let name = match name {
-        None if stage.stop => "air".to_owned(),
+        None if stage.stop || stage.ideal.is_some() => "air".to_owned(),
         None => part.need("mat2")?.text()?.to_owned(),
         Some(name) => name,
     };

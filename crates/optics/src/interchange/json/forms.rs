@@ -69,7 +69,9 @@ fn what_surfaces_of_optiland_do_is_read_in_both_forms() {
     let (fields, stop) = (points(&json!({ "field_type": "angle" })), json!({ "type": "EPD", "value": 8.0 }));
     for (does, said) in [
         (json!({ "type": "RefractiveReflectiveModel", "is_reflective": true }), "mirror"),
-        (json!({ "type": "ThinLensInteractionModel", "is_reflective": false, "focal_length": 50.0 }), "ThinLens"),
+        (json!({ "type": "ThinLensInteractionModel", "is_reflective": false }), "no focal length"),
+        // Curved, and in glass.
+        (json!({ "type": "ThinLensInteractionModel", "focal_length": 50.0 }), "an ideal lens is a plane"),
         (json!({ "type": "DiffractiveModel" }), "Diffractive"),
         (json!({ "type": "RefractiveReflectiveModel", "bsdf": { "type": "Lambertian" } }), "scattering"),
     ] {
@@ -81,6 +83,29 @@ fn what_surfaces_of_optiland_do_is_read_in_both_forms() {
         (json!({ "type": "float_by_stop_size", "value": 6.0 }), json!({ "type": "RefractiveReflectiveModel" }));
     let lens = read(&optiland(&fields, &stop, &glass)).expect("reads").lens;
     assert_rel(paraxial::stop_semi_diameter(&lens), 3.0, 1e-12, 0.0, "stop");
+}
+
+/// A thin lens of either program: an object 200 mm before a lens of 50 mm has its image at 66 2/3 mm.
+#[test]
+fn thin_lenses_are_ideal() {
+    let (fields, stop) = (points(&json!({ "field_type": "angle" })), json!({ "type": "EPD", "value": 8.0 }));
+    let mut file = optiland(&fields, &stop, &json!({ "type": "RefractiveReflectiveModel" }));
+    let surfaces = file["surface_group"]["surfaces"].as_array_mut().expect("surfaces");
+    surfaces.remove(2);
+    surfaces[1]["geometry"]["radius"] = json!("Infinity");
+    surfaces[1]["geometry"]["type"] = json!("Plane");
+    surfaces[1]["material_post"]["index"] = json!(1.0);
+    surfaces[1]["interaction_model"] = json!({ "type": "ThinLensInteractionModel", "focal_length": 50.0 });
+    let lens = read(&file).expect("reads").lens;
+    let first = paraxial::first_order(&lens, 587.6);
+    assert_rel(first.effective_focal_length, 50.0, 1e-15, 0.0, "focal length");
+    assert_rel(first.paraxial_image_distance, 200.0 / 3.0, 1e-14, 0.0, "image");
+    // DeepLens: before the singlet of the next test.
+    let thin = json!({ "type": "ThinLens", "r": 4.0, "d": 4.0, "d_next": 56.0, "f": 50.0 });
+    let alone = json!({ "info": "a", "foclen": 50.0, "fnum": 8.0, "r_sensor": 4.0, "d_sensor": 50.0, "surfaces": [
+        { "type": "Aperture", "r": 3.125, "d": 0.0, "d_next": 0.0 }, thin ] });
+    let first = paraxial::first_order(&read(&alone).expect("reads").lens, 587.6);
+    assert_rel(first.effective_focal_length, 50.0, 1e-15, 0.0, "focal length");
 }
 
 /// DeepLens writes no medium behind an aperture: it stands in air. A diffractive surface beside the lens is no lens without it.
@@ -102,6 +127,6 @@ fn apertures_and_diffractive_surfaces_of_deeplens() {
     hybrid["DOE"] = json!({ "type": "Fresnel" });
     let error = read(&hybrid).expect_err("a diffractive surface").to_string();
     assert!(error.contains("DOE") && error.contains("diffractive"), "{error}");
-    let thin = lens(json!({ "type": "ThinLens", "r": 4.0, "d": 4.0, "d_next": 56.0, "f": 50.0 }));
-    assert!(read(&thin).expect_err("a thin lens").to_string().contains("ThinLens"));
+    let phase = lens(json!({ "type": "Phase", "r": 4.0, "d": 4.0, "d_next": 56.0 }));
+    assert!(read(&phase).expect_err("a phase").to_string().contains("Phase"));
 }

@@ -144,8 +144,14 @@ fn surface(part: &Part) -> Result<Stage> {
     }
     for does in [part.get("surface_type"), interaction.as_ref().and_then(|i| i.get("type"))].into_iter().flatten() {
         let name = does.value.as_str().unwrap_or_default();
-        if !["", "standard", "RefractiveReflectiveModel", "refractive_reflective"].contains(&name) {
-            return Err(does.refused(format!("`{}`", shown(name)), "refracting surfaces"));
+        let thin = ["paraxial", "ThinLensInteractionModel", "thin_lens"].contains(&name);
+        if !thin && !["", "standard", "RefractiveReflectiveModel", "refractive_reflective"].contains(&name) {
+            return Err(does.refused(format!("`{}`", shown(name)), "refracting surfaces, thin lenses"));
+        }
+        if thin && stage.ideal.is_none() {
+            let stated = interaction.as_ref().and_then(|i| i.get("focal_length")).or_else(|| part.get("f"));
+            let stated = stated.ok_or_else(|| part.refused("no focal length of a thin lens", "focal_length"))?;
+            stage.ideal = Some(stated.number()?);
         }
     }
     if let Some(coating) = interaction.as_ref().and_then(|i| i.get("bsdf")).filter(|b| !b.value.is_null()) {

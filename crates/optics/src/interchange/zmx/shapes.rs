@@ -5,7 +5,10 @@ use crate::lens::shape::HIGHEST_POWER;
 use isoplanat_base::error::{Error, Result};
 
 /// Types whose terms are read.
-const SUPPORTED: &str = "STANDARD, EVENASPH, ODDASPHE, XASPHERE, XOSPHERE";
+const SUPPORTED: &str = "STANDARD, EVENASPH, ODDASPHE, XASPHERE, XOSPHERE, PARAXIAL";
+
+/// The type of an ideal lens: `PARM 1` is its focal length, `PARM 2` how paths are counted.
+pub(super) const IDEAL: &str = "PARAXIAL";
 
 /// Numbers of a surface beside curvature and conic constant, lengths in the file's unit.
 pub(super) struct Terms<'a> {
@@ -30,7 +33,7 @@ impl Terms<'_> {
             return Err(refuse(format!("extra data of a surface of type {}", shown(self.kind)), SUPPORTED));
         }
         let terms: Vec<(usize, f64)> = match self.kind {
-            "STANDARD" => Vec::new(),
+            "STANDARD" | IDEAL => Vec::new(),
             // A break that breaks nothing marks a place.
             "COORDBRK" if self.parameters.iter().all(|p| *p == 0.0) => Vec::new(),
             "COORDBRK" => {

@@ -190,6 +190,19 @@ impl Raw {
         shapes::Terms { kind: &self.kind, parameters: &self.parameters, extra: &self.extra }.in_mm(scale, refuse)
     }
 
+    /// Focal length of an ideal lens, mm.
+    fn ideal(&self, scale: f64, file: &str) -> Result<Option<f64>> {
+        if self.kind != shapes::IDEAL {
+            return Ok(None);
+        }
+        let f = self.parameters.get(1).map_or(0.0, |f| f * scale);
+        if f == 0.0 || !f.is_finite() {
+            let found = format!("a focal length of {f} mm (PARM 1 of a surface of type PARAXIAL)");
+            return Err(self.refused(file, found, "a length other than 0"));
+        }
+        Ok(Some(f))
+    }
+
     /// Whether it is no plane.
     fn is_curved(&self) -> bool {
         self.curvature != 0.0 || self.parameters.iter().chain(self.extra.iter().skip(3)).any(|p| *p != 0.0)
@@ -208,6 +221,15 @@ impl Raw {
         stage.solved = self.focus.then_some(0.0);
         if self.kind == "COORDBRK" {
             return Ok(stage);
+        }
+        stage.ideal = self.ideal(scale, file)?;
+        if let Some(f) = stage.ideal {
+            // Its plane has no form, whatever stands there.
+            (stage.curvature, stage.conic) = (0.0, 0.0);
+            notes.push(format!(
+                "{}: an ideal lens of {f} mm; optical paths through it are those between its paraxial object and image",
+                self.place
+            ));
         }
         (stage.semi_diameter, stage.computed) = self.apertures.clear(&self.place, file, notes)?;
         (stage.semi_diameter, stage.computed) =

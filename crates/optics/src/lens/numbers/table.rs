@@ -135,6 +135,16 @@ kinds! {
         key: "xy.terms.",
         ..PLAIN
     },
+    /// Focal length of an ideal lens, where a surface is one.
+    IdealFocalLength => Line {
+        at: At::Shape(|s| s.ideal.as_slice(), |s| s.ideal.as_mut_slice()),
+        name: |_, _| "ideal_focal_length".into(),
+        key: "ideal_focal_length_mm",
+        allowed: (|x| (1e-6..=1e9).contains(&x.abs()), "1e-6 to 1e9 mm, or as much below 0"),
+        // It stands for what is not designed.
+        free: false,
+        ..PLAIN
+    },
     /// Tilts of a surface about x, y, z, where it states a pose.
     Tilt => Line {
         at: At::Surface(

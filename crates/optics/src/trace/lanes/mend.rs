@@ -6,6 +6,7 @@ use super::program::Step;
 use super::prove::prove;
 use super::run::{Extra, Mode, Run};
 use super::tile::AXIAL;
+use crate::trace::ideal::Ideal;
 use crate::trace::intersect::{Intersection, gradient, intersect};
 use crate::trace::refract::refract;
 use crate::trace::{Cause, Failure, Ray};
@@ -72,10 +73,10 @@ fn one_ray<M: Mode>(step: &Step, run: &mut Run, lane: usize) {
     let mu = if M::SPECTRAL { step.ratios[run.colour[lane] as usize] } else { step.mu };
     match through(step, mu, run.from.ray(lane)) {
         Err(cause) => fail::<M>(step, run, lane, cause),
-        Ok((at, incoming, ray)) => {
+        Ok((at, incoming, ray, added)) => {
             run.to.set(lane, ray);
             if M::PATH {
-                run.to.path[lane] = run.from.path[lane] + step.surface.index_before * at.t;
+                run.to.path[lane] = run.from.path[lane] + step.surface.index_before * at.t + added;
             }
             if M::RECORD {
                 record(step, run, lane, &at, incoming);
@@ -89,8 +90,8 @@ fn one_ray<M: Mode>(step: &Step, run: &mut Run, lane: usize) {
 }
 
 /// The plain trace of one surface: the hit, the direction before it in the surface's own frame, the ray behind it in the
-/// nominal frame.
-fn through(step: &Step, mu: f64, ray: Ray) -> Result<(Intersection, DVec3, Ray), Cause> {
+/// nominal frame, the optical path that an ideal lens adds.
+fn through(step: &Step, mu: f64, ray: Ray) -> Result<(Intersection, DVec3, Ray, f64), Cause> {
     let surface = &step.surface;
     let (mut origin, mut direction) = (ray.origin, ray.direction);
     origin.z -= surface.distance;
@@ -102,8 +103,10 @@ fn through(step: &Step, mu: f64, ray: Ray) -> Result<(Intersection, DVec3, Ray),
     if beyond(at.point.x * at.point.x + at.point.y * at.point.y, step) {
         return Err(Cause::Vignetted);
     }
-    let incoming = direction;
-    if mu != 1.0 {
+    let (incoming, mut path) = (direction, 0.0);
+    if let Some(ideal) = Ideal::of(surface) {
+        (direction, path) = ideal.bend(at.point.truncate(), incoming).ok_or(Cause::Missed)?;
+    } else if mu != 1.0 {
         let g = gradient(&at);
         let mut normal = g / g.length();
         if normal.dot(direction) > 0.0 {
@@ -115,7 +118,7 @@ fn through(step: &Step, mu: f64, ray: Ray) -> Result<(Intersection, DVec3, Ray),
     if let Some(m) = &surface.motion {
         (point, direction) = (m.rotation * point + m.shift, m.rotation * direction);
     }
-    Ok((at, incoming, Ray { origin: point, direction }))
+    Ok((at, incoming, Ray { origin: point, direction }, path))
 }
 
 /// Writes what the adjoint needs of a ray that the plain trace took through a surface with even terms.
