@@ -229,7 +229,12 @@ fn automatic(lens: &Lens, optics: &Optics, request: &KernelRequest, lines: &[Fie
     if 2 * half + 1 > LARGEST {
         let share = if request.diffraction { "99 %" } else { "99.9 %" };
         let found = format!("{} pixels to hold {share} of the light", 2 * half + 1);
-        return Err(Error::bad(lens.file(), "kernel size", found, format!("state a size; automatic up to {LARGEST}")));
+        return Err(Error::bad(
+            lens.file(),
+            "kernel size",
+            found,
+            format!("a stated size (--size); automatic up to {LARGEST}"),
+        ));
     }
     Ok(2 * half + 1)
 }

@@ -22,6 +22,9 @@ pub struct Listing<'a> {
     seidel: Vec<Seidel>,
 }
 
+/// Focal length, in the lens's own size, that only rounding leaves.
+const POWERLESS: f64 = 1e10;
+
 /// A surface as JSON has it.
 #[derive(Serialize)]
 struct Row {
@@ -112,6 +115,22 @@ impl<'a> Listing<'a> {
         if field_origin(self.lens).telecentric {
             (f.f_number, f.entrance_pupil_position, f.entrance_pupil_diameter) =
                 (f64::NAN, f64::INFINITY, f64::INFINITY);
+        }
+        // What rounding leaves of no power at all.
+        let widest = self.lens.surfaces.iter().map(|s| s.semi_diameter).fold(self.lens.length(), f64::max);
+        if f.effective_focal_length.abs() > POWERLESS * widest {
+            for length in [&mut f.effective_focal_length, &mut f.back_focal_length, &mut f.front_focal_length] {
+                *length = f64::INFINITY;
+            }
+            for none in [
+                &mut f.f_number,
+                &mut f.front_principal_point,
+                &mut f.rear_principal_point,
+                &mut f.front_nodal_point,
+                &mut f.rear_nodal_point,
+            ] {
+                *none = f64::NAN;
+            }
         }
         vec![
             ("effective focal length", "effective_focal_length_mm", f.effective_focal_length),

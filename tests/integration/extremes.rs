@@ -220,7 +220,7 @@ fn a_fisheye_is_pictured() {
     place.run("psf fisheye.toml -o n.npz --fields 6 --rays 400").refused(&[
         "fisheye.toml",
         "kernel size",
-        "state a size",
+        "a stated size",
     ]);
     let image = picture(&place, "fisheye.toml facades:3 --columns 120 --rows 80 --pitch-um 120");
     assert!(image[[1, 0, 0]] == 0.0 && image[[1, 40, 60]] > 0.0, "the corner lies beyond the horizon");

@@ -539,3 +539,62 @@ fn an_ideal_lens_images_as_first_order_optics_says() {
         }
     }
 }
+
+/// Planes that negative distances put beyond their air space do nothing, a plane that the object stands on is none, and an operand of the air's state
+/// is told. The lens is that of the file without them.
+#[test]
+fn planes_beyond_their_space_and_states_of_the_air_are_told() {
+    let text = lens_of("STANDARD", "");
+    let plain = read(&text).lens;
+    let again = |text: &str, what: &str| {
+        let imported = read(text);
+        told(&imported, what);
+        assert_eq!(imported.lens.surfaces, plain.surfaces, "{what}");
+        assert_eq!(imported.lens.stop, plain.stop);
+        imported.lens
+    };
+    // Behind the first face, reached backwards through the glass.
+    let bare = |number: usize, distance: &str| surface(number, &format!("TYPE STANDARD; CURV 0; DISZ {distance}"));
+    let beyond = text.replace("DISZ 60", "DISZ -7.5").replace("SURF 3\n", &format!("{}SURF 4\n", bare(3, "67.5")));
+    again(&beyond, "(SURF 3)");
+    // By picometres: it stands at the face.
+    let touching =
+        text.replace("DISZ 60", "DISZ -2e-9").replace("SURF 3\n", &format!("{}SURF 4\n", bare(3, "60.000000002")));
+    let lens = read(&touching).lens;
+    assert_eq!(lens.surfaces.len(), 3);
+    assert_abs(lens.surfaces[1].thickness, 0.0, 0.0, "at the face");
+    // The stop is no mark.
+    let stop = beyond.replace("  STOP\n", "").replace("SURF 3\n", "SURF 3\n  STOP\n");
+    let error = refused(&stop);
+    assert!(error.contains("-7.5 mm") && error.contains("SURF 3"), "{error}");
+    // An object on a plane in air.
+    let near = text.replace("DISZ INFINITY", "DISZ 250");
+    let on = text
+        .replace("DISZ INFINITY", "DISZ 0")
+        .replace("SURF 3", "SURF 4")
+        .replace("SURF 2", "SURF 3")
+        .replace("SURF 1\n", &format!("{}SURF 2\n", bare(1, "250")));
+    let imported = read(&on);
+    told(&imported, "the object stands on");
+    let expected = read(&near).lens;
+    assert_eq!(
+        (&imported.lens.surfaces, imported.lens.object_vergence),
+        (&expected.surfaces, expected.object_vergence)
+    );
+    // One configuration, in a vacuum.
+    again(&(text.clone() + "MNUM 1 1\nPRES 0 1 0.0 0 0 1 1 1.0 0.0 0\n"), "PRES 0.0 is not used");
+    let usual = read(&(text.clone() + "MNUM 1 1\nTEMP 0 1 20.0 0 0 1 1 1.0 0.0 0\n"));
+    assert!(usual.notes.iter().all(|n| !n.contains("TEMP")), "{:?}", usual.notes);
+    // Names in quotes.
+    let quoted = text + "MNUM 2 1\nGLSS 1 1 \"N-BK7\" 0 0\nGLSS 1 2 \"F2\" 0 0\n";
+    again(&quoted, "configuration 1 of 2");
+}
+
+/// A model glass is offered where it is known: not in the infrared.
+#[test]
+fn what_is_offered_works() {
+    let text = lens_of("STANDARD", "").replace("GLAS N-BK7 0 0", "GLAS NOSUCH 0 0 1.58 60");
+    assert!(refused(&text).contains("--glass-for NOSUCH=model"), "{}", refused(&text));
+    let infrared = text.replace("WAVM 1 0.5875618 1", "WAVM 1 1.55 1");
+    assert!(!refused(&infrared).contains("=model"), "{}", refused(&infrared));
+}

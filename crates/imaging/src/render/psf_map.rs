@@ -154,7 +154,7 @@ impl PsfMap {
                 lens.file(),
                 "kernel size",
                 found,
-                format!("state a size; automatic up to {LARGEST}"),
+                format!("a stated size (--size); automatic up to {LARGEST}"),
             ));
         }
         // As pictures place them: by rays, whose kernels differ more from place to place.

@@ -8,7 +8,7 @@ use super::{Imported, order, solve};
 use crate::lens::catalogue::Glasses;
 use crate::lens::check::check_surface;
 use crate::lens::{
-    Aperture, Field, Lens, Prescription, SensorRaster, Shape, Surface, Wavelengths, clearance, paraxial,
+    Aperture, Field, Lens, Medium, Prescription, SensorRaster, Shape, Surface, Wavelengths, clearance, paraxial,
 };
 use crate::trace::apertures::{self, Beam, Reached};
 use isoplanat_base::error::{Error, Location, Result};
@@ -31,6 +31,13 @@ pub(super) fn finish(mut draft: Draft, file: &str, glasses: &Glasses) -> Result<
     let mut stages = std::mem::take(&mut draft.surfaces);
     let stop = the_stop(&mut stages, &mut draft.notes, file)?;
     end_at_reach(&mut stages, &mut draft.notes);
+    let model = Medium::Cauchy { n_d: 1.5, v_d: 50.0 }.range_nm();
+    let offered = draft.wavelengths.iter().all(|(nm, weight)| *weight == 0.0 || (model[0]..=model[1]).contains(nm));
+    for stage in &mut stages {
+        if let Stated::Line(line) = &stage.medium {
+            stage.medium = Stated::Line(line.clone().offering(offered));
+        }
+    }
     let mut surfaces = Vec::with_capacity(stages.len());
     for stage in &stages {
         surfaces.push(surface(stage, file, glasses, &draft.catalogues, &mut draft.notes)?);

@@ -75,7 +75,7 @@ impl<'a> Part<'a> {
     }
 
     fn need(&self, key: &str) -> Result<Self> {
-        self.get(key).ok_or_else(|| self.refused(format!("no key `{key}`"), "that key"))
+        self.get(key).ok_or_else(|| self.refused(format!("no key `{key}`"), "a file that has it"))
     }
 
     fn items(&self) -> Result<Vec<Self>> {

@@ -25,6 +25,8 @@ pub(super) struct OfLine {
     lines: Option<(f64, f64)>,
     /// Whether the numbers may be left from another glass.
     left_over: bool,
+    /// Whether a model glass of the numbers may be offered: it is known in the visible alone.
+    offered: bool,
 }
 
 impl OfLine {
@@ -32,7 +34,17 @@ impl OfLine {
     pub(super) fn new(name: &str, n_d: f64, v_d: f64, marked: bool) -> Self {
         let nothing = n_d == 0.0 || (n_d, v_d) == (1.5, 40.0);
         let of_bk7 = (n_d - 1.5168).abs() < 5e-5 && (v_d - 64.17).abs() < 0.02;
-        Self { name: name.to_owned(), lines: (!nothing).then_some((n_d, v_d)), left_over: marked || of_bk7 }
+        Self {
+            name: name.to_owned(),
+            lines: (!nothing).then_some((n_d, v_d)),
+            left_over: marked || of_bk7,
+            offered: true,
+        }
+    }
+
+    /// The same for light of wavelengths at which a model glass is known, or is not.
+    pub(super) fn offering(self, offered: bool) -> Self {
+        Self { offered, ..self }
     }
 
     pub(super) fn resolve(&self, glasses: &Glasses, catalogues: &[String]) -> Result<(Medium, Option<String>)> {
@@ -71,9 +83,10 @@ impl OfLine {
                 .collect();
             let (first, of) = (&found[0], name);
             let found = format!("glass `{of}` of n_d {n_d}, V_d {v_d}, while {}", stated.join(", "));
+            let model =
+                if self.offered { format!("--glass-for {of}={MODEL} for these two numbers, ") } else { String::new() };
             let allowed = format!(
-                "a glass within {SAME_INDEX} of it: its maker's catalogue by --glass FILE; or --glass-for {of}={MODEL} for these two numbers, \
-                 --glass-for {of}={}/{} for that glass",
+                "a glass within {SAME_INDEX} of it: its maker's catalogue by --glass FILE; or {model}--glass-for {of}={}/{} for that glass",
                 first.0,
                 shown(first.1)
             );
@@ -107,7 +120,7 @@ impl OfLine {
 
     /// The error of an unknown glass, which the line's numbers may stand in for.
     fn or_model(&self, error: Error) -> Error {
-        let Some((n_d, v_d)) = self.lines else { return error };
+        let Some((n_d, v_d)) = self.lines.filter(|_| self.offered) else { return error };
         let name = &self.name;
         error.or_else_allowed(&format!("--glass-for {name}={MODEL} for the n_d {n_d} and V_d {v_d} of its line"))
     }

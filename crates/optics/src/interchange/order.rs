@@ -10,27 +10,89 @@ use isoplanat_base::error::{Error, Result};
 /// Rounding of a place, in parts of the distances walked.
 const ROUNDING: f64 = 1e-12;
 
+/// A plane beyond the end of its air space by no more stands at that end, mm.
+const TOUCHING: f64 = 1e-6;
+
 /// Sorts the planes of every air space that has a negative distance.
 pub(super) fn put(draft: &mut Draft, file: &str) -> Result<()> {
+    object_at_a_plane(draft);
     if draft.surfaces.iter().all(|s| s.thickness >= 0.0 || s.thickness.is_nan()) {
         return Ok(());
     }
-    let count = draft.surfaces.len();
     virtual_image(draft);
+    leave_out_beyond(draft);
+    let count = draft.surfaces.len();
     let mut next = 0;
     while next < count {
         let first = next;
-        // A run of air gaps: the surface `first` and all planes in air behind it, to the next real surface.
-        let air = |s: &Stage| s.medium == Stated::Air;
-        let mut last = first;
-        while last + 1 < count && air(&draft.surfaces[last]) && dummy(&draft.surfaces, last + 1) {
-            last += 1;
-        }
+        let last = *run(&draft.surfaces, first).end();
         // Before the first surface there is air, too: leading planes belong together with what follows them.
         sort(draft, first, last, file)?;
         next = last + 1;
     }
     Ok(())
+}
+
+/// A plane in air on which the object stands is part of the object's space: the distance behind it is the object's.
+fn object_at_a_plane(draft: &mut Draft) {
+    while draft.object_mm == 0.0 && draft.surfaces.len() > 1 && dummy(&draft.surfaces, 0) && !draft.surfaces[0].stop {
+        let plane = draft.surfaces.remove(0);
+        draft.object_mm = plane.thickness;
+        draft.notes.push(format!(
+            "{}: a plane that the object stands on: distances count from it, and it is left out",
+            plane.place
+        ));
+    }
+}
+
+/// The surface `first` and all planes in air behind it, up to the next real surface.
+fn run(surfaces: &[Stage], first: usize) -> std::ops::RangeInclusive<usize> {
+    let mut last = first;
+    while last + 1 < surfaces.len() && surfaces[last].medium == Stated::Air && dummy(surfaces, last + 1) {
+        last += 1;
+    }
+    first..=last
+}
+
+/// Leaves out planes that negative distances put beyond their air space, where they are neither the stop nor an aperture: light is extended
+/// to them and back, and nothing happens there.
+fn leave_out_beyond(draft: &mut Draft) {
+    let mut left = Vec::new();
+    let mut first = 0;
+    while first < draft.surfaces.len() {
+        let run = run(&draft.surfaces, first);
+        let (last, leading) = (*run.end(), first == 0 && dummy(&draft.surfaces, 0));
+        let mut places = vec![0.0];
+        for s in &draft.surfaces[run] {
+            places.push(places[places.len() - 1] + s.thickness);
+        }
+        let end = places[places.len() - 1];
+        let beyond = |i: usize| {
+            let z = places[i - first];
+            !leading && z < -TOUCHING || z > end + TOUCHING
+        };
+        let idle = |i: &usize| {
+            let s = &draft.surfaces[*i];
+            beyond(*i) && !s.stop && s.semi_diameter.is_none()
+        };
+        match (first + usize::from(!leading)..=last).find(idle) {
+            Some(i) => {
+                let plane = draft.surfaces.remove(i);
+                left.push(plane.place.to_string());
+                match i.checked_sub(1) {
+                    Some(before) => draft.surfaces[before].thickness += plane.thickness,
+                    None => draft.object_mm += plane.thickness,
+                }
+            }
+            None => first = last + 1,
+        }
+    }
+    if !left.is_empty() {
+        let list = left.join(", ");
+        draft.notes.push(format!(
+            "planes that negative distances put beyond their air space do nothing to light and are left out: {list}"
+        ));
+    }
 }
 
 /// An image plane before the last real surface is a virtual image: the plane is put at the end of what stands before it, and how far it lies
@@ -82,14 +144,17 @@ fn sort(draft: &mut Draft, first: usize, last: usize, file: &str) -> Result<()> 
     let mut planes: Vec<(f64, Stage)> = (from..=last).map(|i| (places[i - first], surfaces[i].clone())).collect();
     planes.sort_by(|a, b| a.0.total_cmp(&b.0));
     let start = if from == first { f64::NEG_INFINITY } else { 0.0 };
-    let misplaced = planes.iter().find(|(z, _)| *z < start - ROUNDING * walked || *z > end + ROUNDING * walked);
+    let within = TOUCHING + ROUNDING * walked;
+    let misplaced = planes.iter().find(|(z, _)| *z < start - within || *z > end + within);
     let refused = |stage: &Stage, found: String| {
         let allowed = "distances along the light; planes in air may stand in any order within their air space";
         Err(Error::bad(file, &stage.place, found, allowed))
     };
     if let Some((_, stage)) = misplaced {
-        return refused(stage, format!("a negative distance puts it beyond its air space ({} mm)", stage.thickness));
+        let walk = run.iter().find(|s| s.thickness < 0.0).map_or(0.0, |s| s.thickness);
+        return refused(stage, format!("a negative distance ({walk} mm) puts it beyond its air space"));
     }
+    planes.iter_mut().for_each(|(z, _)| *z = z.max(start).min(end));
     if planes.is_empty() {
         return refused(&surfaces[first], format!("a distance of {} mm", surfaces[first].thickness));
     }

@@ -4,7 +4,7 @@ use super::Imported;
 use crate::lens::catalogue::Glasses;
 use crate::lens::check::check_surface;
 use crate::lens::prescription::{self, Read};
-use crate::lens::{Aperture, Lens, clearance, paraxial};
+use crate::lens::{Aperture, Lens, Prescription, clearance, paraxial};
 use crate::trace::apertures::{self, Beam};
 use isoplanat_base::error::{Error, Location, Result};
 
@@ -19,7 +19,7 @@ pub(super) fn left_out(text: &str, file: &str, glasses: &Glasses) -> Result<Vec<
 /// The lens of a text; `file` names it in errors.
 pub(super) fn read(text: &str, file: &str, glasses: &Glasses) -> Result<Imported> {
     let Read { mut numbers, marked } = prescription::read(text, file, glasses)?;
-    let mut notes = Vec::new();
+    let mut notes = namesakes(&numbers, glasses);
     let count = marked.iter().filter(|m| **m).count();
     if count > 0 {
         // Each number by itself, before rays go through them.
@@ -52,11 +52,53 @@ pub(super) fn read(text: &str, file: &str, glasses: &Glasses) -> Result<Imported
     Ok(Imported { lens: Lens::new(numbers, file)?, notes })
 }
 
+/// A name of this program's own form is a shipped glass's: told where a catalogue that was given has another of that name.
+fn namesakes(numbers: &Prescription, glasses: &Glasses) -> Vec<String> {
+    let mut told: Vec<String> = Vec::new();
+    for medium in numbers.surfaces.iter().map(|s| &s.medium) {
+        let others = glasses.namesakes(medium);
+        if !others.is_empty() {
+            let note = format!(
+                "glass {medium} is that of the shipped catalogues; {} is another of that name, which a file names so",
+                others.join(" and ")
+            );
+            if !told.contains(&note) {
+                told.push(note);
+            }
+        }
+    }
+    told
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::lens::builtin;
+    use crate::lens::catalogue::Naming;
     use isoplanat_base::testing::assert_rel;
+
+    /// A shipped glass keeps its name where a catalogue beside has another of that name, and says so; the same glass there says nothing.
+    #[test]
+    fn namesakes_of_other_catalogues_are_told() {
+        let text = builtin::text("cooke_triplet").expect("shipped");
+        let glass = text.split('"').find(|w| w.ends_with("SK16")).expect("its crown");
+        let text = text.replace(&format!("\"{glass}\""), "\"F2\"");
+        let folder = tempfile::tempdir().expect("made");
+        let path = folder.path().join("mine.agf");
+        for (first, notes) in [("1.3", 1), ("1.34533359", 0)] {
+            let agf = format!(
+                "NM F2 2 0 1.62 36.4 0 1\nCD {first} 0.00997743871 0.209073176 0.0470450767 0.937357162 111.886764\nLD 0.32 2.5\n"
+            );
+            std::fs::write(&path, agf).expect("written");
+            let mut glasses = Glasses::shipped().clone();
+            glasses.add(&path).expect("reads");
+            let read = read(&text, "own.toml", &glasses).expect("reads");
+            assert_eq!(read.notes.len(), notes, "{:?}", read.notes);
+            assert!(read.notes.iter().all(|n| n.contains("mine/F2")), "{:?}", read.notes);
+            let shipped = Glasses::shipped().find("F2", Naming::Exact).expect("shipped");
+            assert!(read.lens.surfaces.iter().any(|s| s.medium == shipped));
+        }
+    }
 
     /// A file without clear semi-diameters but the stop's: they are those that [`apertures::open`] finds, and every ray of the field's beams passes.
     #[test]

@@ -21,10 +21,10 @@ use statements::{Statement, statements};
 use zoom::Zoom;
 
 /// Statements that no ray depends on, or that only say what may vary.
-const HARMLESS: [&str; 40] = [
+const HARMLESS: [&str; 41] = [
     "LEN", "INI", "TEM", "PRE", "DER", "GO", "WTF", "SLB", "CCY", "THC", "GLC", "KC", "CCX", "AC", "BC", "CC", "DC",
     "EC", "FC", "GC", "HC", "JC", "COM", "IN", "OUT", "VIE", "DOR", "CA", "GL2", "EXI", "CLS", "WRL", "SAV", "SET",
-    "DRW", "CKC", "GLN", "MFL", "SPH", "DDM",
+    "DRW", "CKC", "GLN", "MFL", "SPH", "DDM", "UID",
 ];
 /// Solves that are kept as their value, which stands in the surface.
 const SOLVES: [&str; 6] = ["PIK", "UMY", "IMY", "UCY", "HCY", "CUM"];
@@ -55,6 +55,8 @@ struct Reader<'a> {
     private: Option<Vec<f64>>,
     glasses: Vec<(String, Stated)>,
     solved: Vec<String>,
+    /// Whether the reference wavelength is stated.
+    referred: bool,
     /// The surface that `PIM` stands with.
     focus: Option<usize>,
     /// Statements that were read over.
@@ -81,6 +83,7 @@ pub(super) fn read(text: &str, file: &str, glasses: &Glasses, reading: Reading) 
         private: None,
         glasses: Vec::new(),
         solved: Vec::new(),
+        referred: false,
         focus: None,
         unknown: Vec::new(),
     };
@@ -123,6 +126,8 @@ impl Reader<'_> {
                 let no = |w: &&str| ["N", "NO"].iter().any(|n| w.eq_ignore_ascii_case(n));
                 self.radii = Some(!line.words.first().is_some_and(no));
             }
+            // `TIT Z2 "NEAR"` is that of one zoom position.
+            "TITLE" | "TIT" if line.words.len() > 1 && zoom_position(line.words[0]) => {}
             "TITLE" | "TIT" => self.draft.title = line.words.join(" ").chars().take(200).collect(),
             "DIM" => {
                 let unit = line.words.first().copied().unwrap_or("");
@@ -145,7 +150,7 @@ impl Reader<'_> {
                 self.draft.wavelengths = all.into_iter().map(|nm| (nm, 1.0)).collect();
             }
             "WTW" => list(&mut self.weights, line, 'W')?,
-            "REF" => self.draft.primary = line.count(0, MOST)?.saturating_sub(1),
+            "REF" => (self.draft.primary, self.referred) = (line.count(0, MOST)?.saturating_sub(1), true),
             "XAN" | "YAN" => self.field(keyword, "angles", FieldKind::Angle, line)?,
             "XOB" | "YOB" => self.field(keyword, "object heights", FieldKind::ObjectHeight, line)?,
             "XIM" | "YIM" => self.field(keyword, "paraxial image heights", FieldKind::ParaxialImageHeight, line)?,
@@ -243,12 +248,23 @@ impl Reader<'_> {
                 self.unknown.join(", ")
             ));
         }
+        if !self.referred && draft.wavelengths.len() > 1 {
+            draft.notes.push(format!(
+                "no reference wavelength is stated (REF): the first is it, {} nm",
+                draft.wavelengths[0].0
+            ));
+        }
         mode::decide(&mut draft, &self.unsaid, self.scale, self.file, glasses)?;
         if !self.solved.is_empty() {
             draft.notes.push(format!("solves and pickups are kept as their values: {}", self.solved.join(", ")));
         }
         Ok(draft)
     }
+}
+
+/// Whether a word names a zoom position: `Z2`.
+fn zoom_position(word: &str) -> bool {
+    word.strip_prefix(['Z', 'z']).is_some_and(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit()))
 }
 
 /// An object distance: infinite from [`INFINITY`] on.

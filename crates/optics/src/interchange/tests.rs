@@ -110,6 +110,36 @@ fn the_image_solve_is_evaluated() {
     assert_abs(measures(&lens)[1], first.paraxial_image_distance, 1e-9, "image of a near object");
 }
 
+/// What files of today write: solves in the place of a distance, identities of surfaces, titles of positions, two numbers for a glass, no
+/// reference wavelength.
+#[test]
+fn statements_of_newer_sequences() {
+    let back = singlet(bk7())[1];
+    let text = |glass: &str, more: &str| format!("RDM\n{HEAD}S 40 3 {glass}\nSTO\nS -60 44\nSI 0 0\n{more}");
+    for solve in ["PIM", "HMY 0", "HMY"] {
+        let lens = read(&text("NBK7_SCHOTT", &format!("THI S2 {solve}\n"))).lens;
+        assert_abs(measures(&lens)[1], back, 1e-10, solve);
+    }
+    for (more, told) in [
+        ("THI S2 OAL S1..2 47\n", "THI OAL"),
+        ("UID S1 \"6f1c\"\nUID S0 \"a\"\n", ""),
+        ("ZOO 2\nZOO TIT\nTIT Z1 \"far\"\nTIT Z2 \"near\"\nZOO THI S2 44 50\n", "2 zoom positions"),
+    ] {
+        let Imported { lens, notes } = seq(&text("NBK7_SCHOTT", more), Reading::default()).expect(more);
+        assert_abs(measures(&lens)[1], 44.0, 0.0, more);
+        assert!(told.is_empty() || notes.iter().any(|n| n.contains(told)), "{notes:?}");
+        assert!(!lens.name.contains("near"), "{}", lens.name);
+    }
+    let lens = read(&text("1.5168 64.17", "")).lens;
+    assert_abs(lens.surfaces[0].medium.index(587.5618), 1.5168, 1e-9, "two numbers");
+    let several = text("NBK7_SCHOTT", "").replace("WL 587.5618", "WL 650 550");
+    let imported = seq(&several, Reading::default()).expect("reads");
+    assert!(imported.notes.iter().any(|n| n.contains("(REF)") && n.contains("650 nm")), "{:?}", imported.notes);
+    assert_abs(imported.lens.wavelengths.primary_nm, 650.0, 0.0, "the first");
+    let stated = seq(&several.replace("WL 650", "REF 2\nWL 650"), Reading::default()).expect("reads");
+    assert!(stated.notes.iter().all(|n| !n.contains("(REF)")) && stated.lens.wavelengths.primary_nm == 550.0);
+}
+
 /// `MAZH 0 0` of Zemax files is the same solve; one at another height or pupil zone keeps its value.
 #[test]
 fn marginal_ray_height_solves_are_evaluated() {

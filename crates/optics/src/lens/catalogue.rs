@@ -90,6 +90,9 @@ pub(super) fn glass(
     Ok(Medium::Glass { name: name.to_owned(), dispersion, range_nm, source: source.to_owned() })
 }
 
+/// Media whose index is this near 1 are vacuum and gases, which may rise with wavelength relative to air.
+const THIN: f64 = 1e-3;
+
 /// The longest part of a range in which the index lies within [`INDICES`] and falls with wavelength, or all of it where the index is constant: some catalogues state ranges
 /// beyond the poles of their formulas.
 fn normal(dispersion: &Dispersion, [short, long]: [f64; 2]) -> Option<[f64; 2]> {
@@ -98,6 +101,9 @@ fn normal(dispersion: &Dispersion, [short, long]: [f64; 2]) -> Option<[f64; 2]> 
     let at = |k: u16| dispersion.index(nm(k) * 1e-3);
     // One index for all wavelengths.
     if INDICES.contains(&at(0)) && (1..=STEPS).all(|k| (at(k) - at(0)).abs() <= ROUNDING) {
+        return Some([short, long]);
+    }
+    if (0..=STEPS).all(|k| (at(k) - 1.0).abs() <= THIN) {
         return Some([short, long]);
     }
     let (mut best, mut from) = ([0u16; 2], 0);
@@ -343,6 +349,15 @@ impl Glasses {
         let holds = |e: &Entry| e.name == *name && e.medium.as_ref() == Ok(medium);
         let catalogue = self.catalogues.iter().find(|c| c.entries.iter().any(holds))?;
         Some((catalogue.name.clone(), name.clone()))
+    }
+
+    /// Entries of other catalogues that have the name of `medium` and other indices: `catalogue/name`.
+    pub(crate) fn namesakes(&self, medium: &Medium) -> Vec<String> {
+        let Medium::Glass { name, .. } = medium else { return Vec::new() };
+        let other = |c: &&Catalogue| {
+            c.entries.iter().any(|e| e.name == *name && e.medium.is_ok() && !same(&e.medium, &Ok(medium.clone())))
+        };
+        self.catalogues.iter().filter(other).map(|c| format!("{}/{name}", c.name)).collect()
     }
 
     /// Near names, in words.

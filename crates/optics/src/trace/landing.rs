@@ -21,7 +21,7 @@ pub(super) fn columns(lens: &Lens) -> Vec<Column> {
     let variables = Variables::all(lens);
     let numbers = variables.parameters.iter().zip(&variables.scales).filter(|(p, _)| !p.kind.is_glass());
     let column = |(p, scale): (&_, &f64)| Column { number: Number::Of(*p), name: p.name(lens), scale: *scale };
-    let index = |i| Column { number: Number::IndexBehind(i), name: format!("surface[{i}].index"), scale: 1.0 };
+    let index = |i: usize| Column { number: Number::IndexBehind(i), name: format!("surface[{i}].index"), scale: 1.0 };
     numbers.map(column).chain((0..lens.surfaces.len()).map(index)).collect()
 }
 

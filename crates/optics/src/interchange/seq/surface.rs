@@ -111,6 +111,19 @@ impl Reader<'_> {
             self.focus = (!off).then_some(i);
             return Ok(());
         }
+        // A solve stands in the place of a distance: `THI S2 PIM`. What it gives stands with the surface.
+        let solve = line.words.first().map(|w| w.to_ascii_uppercase()).filter(|_| keyword == "THI");
+        match solve.as_deref() {
+            Some("PIM" | "HMY") => {
+                let rest = Line { file: line.file, place: line.place.clone(), words: line.words[1..].to_vec() };
+                return self.of_one(i, solve.as_deref().unwrap_or_default(), &rest);
+            }
+            Some(solve) if solve == "OAL" || super::SOLVES.contains(&solve) => {
+                self.solved.push(format!("THI {solve} ({})", line.place));
+                return Ok(());
+            }
+            _ => {}
+        }
         if keyword == "STO" {
             // The last one said is it.
             self.draft.surfaces.iter_mut().for_each(|s| s.stop = false);
@@ -200,7 +213,12 @@ impl Reader<'_> {
             if name.eq_ignore_ascii_case("REFL") || line.words.get(3).is_some_and(|w| w.eq_ignore_ascii_case("REFL")) {
                 return Err(line.refused("a mirror (REFL)", "refracting surfaces"));
             }
-            stage.medium = self.medium(name);
+            // Index and Abbe number in the glass's place.
+            let number = |i: usize| line.words.get(i).and_then(|w| w.parse::<f64>().ok());
+            stage.medium = match (number(2), number(3)) {
+                (Some(n_d), Some(v_d)) if (1.0..=5.0).contains(&n_d) => Stated::Lines { n_d, v_d },
+                _ => self.medium(name),
+            };
         }
         self.draft.surfaces.push(stage);
         Ok(())

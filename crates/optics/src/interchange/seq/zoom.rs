@@ -30,6 +30,10 @@ impl Zoom {
         let Some(count) = self.positions else {
             return Err(line.refused(format!("ZOO {}", shown(first)), "first their number, such as ZOO 3"));
         };
+        // What takes other values follows in statements of its own: `TIT Z1 "…"`.
+        if line.words.len() == 1 && ["TIT", "TITLE"].iter().any(|w| first.eq_ignore_ascii_case(w)) {
+            return Ok(None);
+        }
         if line.words.len() < 1 + count {
             let found = format!("ZOO {} with {} values at most", shown(first), line.words.len().saturating_sub(1));
             return Err(line.refused(found, format!("one for each of {count} positions")));

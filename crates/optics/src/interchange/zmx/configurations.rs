@@ -15,6 +15,8 @@ const OPERANDS: [&str; 26] = [
 ];
 /// Operands that no ray depends on.
 const HARMLESS: [&str; 8] = ["MOFF", "CWGT", "FLWT", "MCOM", "TITL", "LTTL", "COTN", "HOLD"];
+/// Operands that change indices by the air's state, which this program does not compute.
+const AIR: [&str; 2] = ["TEMP", "PRES"];
 /// Most lines that are kept.
 const MOST: usize = 100_000;
 
@@ -66,7 +68,7 @@ impl Configurations {
             return Ok(false);
         };
         // With one configuration no operand is needed, and a merit function's may look like one.
-        if count == 1 && !OPERANDS.contains(&keyword) {
+        if count == 1 && !OPERANDS.contains(&keyword) && !AIR.contains(&keyword) {
             return Ok(false);
         }
         if self.operands.len() >= MOST {
@@ -109,8 +111,20 @@ impl Configurations {
             };
             return Err(Error::bad(file, "configuration", wanted.to_string(), allowed));
         }
+        let mut notes: Vec<String> = Vec::new();
+        for o in self.operands.iter().filter(|o| o.configuration == wanted && AIR.contains(&o.name.as_str())) {
+            let value = o.value.parse::<f64>();
+            if notes.len() < 8 && value != Ok(if o.name == "TEMP" { 20.0 } else { 1.0 }) {
+                notes.push(format!(
+                    "{}: {} {} is not used: indices are those of glass in air of 20 °C and 1 atm",
+                    o.place,
+                    o.name,
+                    shown(&o.value)
+                ));
+            }
+        }
         if count == 1 {
-            return Ok(Vec::new());
+            return Ok(notes);
         }
         let mut left = Vec::new();
         for o in self.operands.iter().filter(|o| o.configuration == wanted) {
@@ -134,7 +148,7 @@ impl Configurations {
             }
         }
         let how = if asked.is_some() { "" } else { "; --configuration N reads another" };
-        let mut notes = vec![format!("configuration {wanted} of {count} is read{how}")];
+        notes.push(format!("configuration {wanted} of {count} is read{how}"));
         if !left.is_empty() {
             notes.push(format!(
                 "operands of configurations that are left as the surfaces state them: {}",

@@ -114,6 +114,7 @@ impl Raw {
 
     fn medium(&mut self, line: &Line) -> Result<()> {
         let name = line.words.first().copied().ok_or_else(|| line.refused("no glass", "its name"))?;
+        let name = name.trim_matches('"');
         let kind = line.optional(1)?.unwrap_or(0.0);
         let mut mirror = name == "MIRROR";
         // Some files write a mirror as a model glass of the index −1.
@@ -159,7 +160,7 @@ impl Raw {
             "SDIA" => self.apertures.fix(line.number(0)?),
             "GLSS" => {
                 self.glass = None;
-                if !["AIR", "-", "0", "\"\""].contains(&line.words[0]) {
+                if !["AIR", "-", "0", ""].contains(&line.words[0].trim_matches('"')) {
                     self.medium(line)?;
                 }
             }

@@ -100,17 +100,16 @@ pub(super) fn read(text: &str, name: &str, file: &str) -> Result<Entry> {
         let all = numbers("DATA.data", &words(&block["data"]))?;
         let rows: Vec<&[f64]> = all.chunks(columns).collect();
         let rising = rows.windows(2).all(|w| w[0][0] < w[1][0]);
-        if rows.is_empty() || rows.iter().any(|r| r.len() != columns || !super::INDICES.contains(&r[1])) || !rising {
-            return Err(refuse(
-                "DATA.data",
-                format!("{} numbers", all.len()),
-                "rows of a rising wavelength in µm and an index from 1 to 5",
-            ));
+        if rows.is_empty() || rows.iter().any(|r| r.len() != columns) || !rising {
+            let found = format!("{} numbers", all.len());
+            return Err(refuse("DATA.data", found, "rows of a rising wavelength in µm and an index"));
         }
-        // A lens takes no others: what a page has beyond (X-rays, radio) is not of lenses.
-        let rows: Vec<&[f64]> = rows.into_iter().filter(|r| TABLE_NM.contains(&(r[0] * 1e3))).collect();
+        // A lens takes no others: what a page has beyond (X-rays, radio) is not of lenses, nor is what absorbs (indices below 1, above 5).
+        let of_lenses = |r: &&[f64]| TABLE_NM.contains(&(r[0] * 1e3)) && super::INDICES.contains(&r[1]);
+        let rows = rows.split(|r| !of_lenses(r)).max_by_key(|part| part.len()).unwrap_or_default();
         if rows.is_empty() {
-            return Err(refuse("DATA.data", "no row from 0.1 to 100 µm".into(), "indices of a lens's light"));
+            let found = "no row from 0.1 to 100 µm with an index from 1 to 5".into();
+            return Err(refuse("DATA.data", found, "indices of a lens's light"));
         }
         let medium = Medium::Table {
             wavelength_nm: rows.iter().map(|r| r[0] * 1e3).collect(),

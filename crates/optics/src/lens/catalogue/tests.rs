@@ -34,6 +34,34 @@ fn shipped_glasses_have_their_published_indices() {
     }
 }
 
+/// A page's rows that are of no lens are left out: what absorbs, what lies beyond the light of lenses. Vacuum has an index below that of air.
+#[test]
+fn what_is_known_is_kept() {
+    let folder = tempfile::tempdir().expect("made");
+    let write = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).expect("written");
+        path
+    };
+    let rows = ["0.3 5.1 4", "0.35 5.5 3", "0.4 4.9 1", "0.5 4.2 0.1", "1.3 3.5 0", "2.0 0.9 0", "3 1.5 0"];
+    let page =
+        |rows: &[&str]| format!("DATA:\n  - type: tabulated nk\n    data: |\n        {}\n", rows.join("\n        "));
+    let mut glasses = Glasses::default();
+    glasses.add(&write("si.yml", &page(&rows))).expect("reads");
+    let si = glasses.find("si", Naming::Exact).expect("a glass");
+    // Tables are known a little beyond their ends.
+    assert_eq!(si.range_nm(), [395.0, 1305.0]);
+    assert_abs(si.index(1300.0), 3.5, 0.0, "its row");
+    let error = glasses.add(&write("gold.yml", &page(&["0.5 0.9 1", "0.6 0.2 3"]))).expect_err("a metal").to_string();
+    assert!(error.contains("no row") && error.contains("from 1 to 5"), "{error}");
+    // n² = 1/n_air² falls towards 1 from below: a Conrady formula near 0.9997.
+    let agf = "NM VACUUM 5 0 0.99973 0 0 1\nCD 0.99973 -2e-6 0\nLD 0.2 5\n";
+    glasses.add(&write("misc.agf", agf)).expect("reads");
+    let vacuum = glasses.find("VACUUM", Naming::Exact).expect("a medium");
+    assert_eq!(vacuum.range_nm(), [200.0, 5000.0]);
+    assert_abs(vacuum.index(500.0), 0.999_726, 1e-9, "its formula");
+}
+
 /// Names are exact; near ones are told, and different glasses of one name are not chosen from.
 #[test]
 fn names_are_found_or_refused() {

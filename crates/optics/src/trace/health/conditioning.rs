@@ -3,10 +3,10 @@
 use nalgebra::DMatrix;
 
 use super::Good;
-use crate::lens::Lens;
+use crate::lens::{Lens, Medium};
 use crate::trace::System;
 use crate::trace::landing::{self, Column};
-use crate::trace::precise::derivative;
+use crate::trace::precise::{Number, derivative};
 
 /// One variable of the lens.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
@@ -32,7 +32,9 @@ pub(super) struct Conditioning {
 }
 
 pub(super) fn conditioning(lens: &Lens, system: &System, good: &[Good]) -> Conditioning {
-    let columns = landing::columns(lens);
+    // The index of air is no number of a lens.
+    let of_air = |c: &Column| matches!(c.number, Number::IndexBehind(i) if lens.surfaces[i].medium == Medium::Air);
+    let columns: Vec<Column> = landing::columns(lens).into_iter().filter(|c| !of_air(c)).collect();
     // Rays of the first system, the primary wavelength.
     let rays: Vec<&Good> = good.iter().filter(|g| g.system == 0).collect();
     let rows: Vec<Vec<[f64; 2]>> = rays.iter().map(|g| landing::gradient(lens, system, &g.hits, &columns)).collect();
