@@ -112,12 +112,19 @@ pub struct LensReport {
 pub fn look(lens: &Lens, options: &Options) -> (Overview, Vec<String>) {
     let mut missing = Vec::new();
     let max_angle = options.max_angle_deg.unwrap_or_else(|| {
-        FieldLine::new(lens, lens.object_vergence, 2)
-            .map(|line| line.angle_deg.last().copied().unwrap_or(0.0))
-            .unwrap_or_else(|e| {
-                missing.push(format!("fields end at the stated angle, not with sensor or light: {}", e.without_file()));
-                lens.max_field_deg()
-            })
+        let mut stated = |why: String| {
+            missing.push(format!("fields end at the stated angle, not with sensor or light: {why}"));
+            lens.max_field_deg()
+        };
+        match FieldLine::new(lens, lens.object_vergence, 2) {
+            Ok(line) => match line.angle_deg.last().copied().unwrap_or(0.0) {
+                angle if angle > 0.0 || lens.max_field_deg() == 0.0 => angle,
+                _ => stated(
+                    "the sensor's rays see no field beyond the axis, as behind a lens with an upright image".into(),
+                ),
+            },
+            Err(e) => stated(e.without_file().to_string()),
+        }
     });
     let usual = Settings::usual(lens, max_angle);
     let settings = Settings {

@@ -54,6 +54,41 @@ fn rms(a: &Array3<f32>, b: &Array3<f32>) -> f64 {
     (a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>() / a.len() as f64).sqrt()
 }
 
+/// A line of one texel where a pixel has several: it is as bright as its share of a pixel, whatever its place in it, alone and on grey.
+#[test]
+fn thin_lines_keep_their_light() {
+    let (rows, columns) = (48, 64);
+    let lens = builtin::lens("cooke_triplet").expect("shipped");
+    let whole = frame_of(&lens).expect("valid");
+    let frame = Frame::centred(columns, rows, 6.0 * whole.pitch_mm).expect("valid");
+    for (texels, phase, ground) in [(4, 0, 0.0), (4, 3, 0.2), (8, 4, 0.0), (3, 1, 0.0)] {
+        let size = [texels * rows, texels * columns];
+        let line = texels * rows / 2 + phase;
+        let texture = Array3::from_shape_fn((1, size[0], size[1]), |(_, i, _)| if i == line { 1.0 } else { ground });
+        #[expect(clippy::cast_precision_loss, reason = "small counts")]
+        let per_pixel = texels as f64;
+        let placement = Placement::centred(size, &frame, Scale::There(per_pixel));
+        let scene = placement.before(&lens, &frame, texture).expect("light");
+        let everything = picture(&planned(&lens, &frame, &scene, Request::Everything), &scene);
+        let plan = planned(&lens, &frame, &scene, Request::Psnr(50.0));
+        let found = picture(&plan, &scene);
+        let far = rms(&found, &everything);
+        // The middle columns across the line, where light is even to a few per cent: a pixel's share of one texel above the ground.
+        let middle = |image: &Array3<f32>| -> f64 {
+            let above = (12..36).map(|i| f64::from(image[[1, i, columns / 2]] - ground)).sum::<f64>();
+            above * per_pixel / f64::from(1.0 - ground)
+        };
+        eprintln!(
+            "{texels} texels, phase {phase}: {far:.1e} rms, light {:.3} and {:.3}",
+            middle(&found),
+            middle(&everything)
+        );
+        assert!((0.9..1.1).contains(&middle(&everything)), "everything: {}", middle(&everything));
+        assert!(far < 10f64.powf(-50.0 / 20.0), "{texels} texels, phase {phase}: {far:e}");
+        assert!(plan.holds && plan.predicted_db.is_some_and(|db| db < 200.0), "{:?}", plan.predicted_db);
+    }
+}
+
 /// What is left out changes the picture by no more than the plan says.
 #[test]
 fn planned_pictures_are_within_their_bounds() {

@@ -93,6 +93,12 @@ pub(super) const MANY: f64 = 30.0;
 const FEW: f64 = 8.0;
 const WIDE: usize = 65;
 const FEWER: usize = 4;
+/// What a perfect lens's diffraction shows behind the blur of rays, as a mean square, and what diffraction shows: at most this many times as much. Five
+/// times was the most that was seen, on pixels that resolve caustics.
+const HIDDEN: f64 = 10.0;
+/// Places that are looked at by waves show so much of what a perfect lens's diffraction shows behind the blur, and are as many at least.
+const TELLING: f64 = 0.5;
+const FEWEST: usize = 3;
 /// Largest half-width of the kernels that are compared, cells.
 const WIDEST: usize = 200;
 /// Largest cells of a perfect lens's kernels, `λ/NA`.
@@ -112,6 +118,43 @@ pub(super) struct Bent {
     pub(super) light: Option<Optics>,
     /// Where probes of pictures of rays may stand.
     pub(super) candidates: Option<Candidates>,
+}
+
+/// Which places are looked at by waves: those where most is to be seen. At the others it is what a perfect lens's diffraction shows there behind the blur,
+/// times the most that any place that was looked at had in its ratio to that.
+struct Telling {
+    looked: Vec<usize>,
+}
+
+impl Telling {
+    fn new(hidden: &[Values]) -> Self {
+        let mut looked: Vec<usize> = (0..hidden.len()).collect();
+        looked.sort_by(|a, b| square(&hidden[*b]).total_cmp(&square(&hidden[*a])));
+        let whole: f64 = hidden.iter().map(square).sum();
+        let mut sum = 0.0;
+        let enough = looked.iter().position(|at| {
+            sum += square(&hidden[*at]);
+            sum >= TELLING * whole
+        });
+        looked.truncate(enough.map_or(hidden.len(), |last| last + 1).max(FEWEST));
+        Self { looked }
+    }
+
+    /// Differences at all places, of those `seen` where they were looked at.
+    fn all(&self, seen: Vec<Values>, hidden: &[Values]) -> Vec<Values> {
+        let ratio = |(at, seen): (&usize, &Values)| square(seen) / square(&hidden[*at]);
+        let most = self.looked.iter().zip(&seen).map(ratio).filter(|r| r.is_finite()).fold(0.0, f64::max);
+        #[expect(clippy::cast_possible_truncation, reason = "a factor on values of pixels")]
+        let scale = most.sqrt() as f32;
+        let mut all: Vec<Values> = hidden.iter().map(|v| v.iter().map(|x| scale * x).collect()).collect();
+        self.looked.iter().zip(seen).for_each(|(at, seen)| all[*at] = seen);
+        all
+    }
+}
+
+/// Sum of squares.
+fn square(values: &Values) -> f64 {
+    values.iter().map(|v| f64::from(*v).powi(2)).sum()
 }
 
 impl Draft<'_> {
@@ -143,14 +186,14 @@ impl Draft<'_> {
             frame: &self.first.raster,
             lit: &self.needs.channels.lit,
             scenes: &sampled,
+            seen: 1,
             size: 2 * half + 1,
             // Rays' own grain is not what is asked for.
             dense: Settings::FINE.dense,
         };
         let around = super::coarse::cells(region, self.first.bin);
-        let first: Vec<&WarpedScene<'_>> = sampled.iter().map(|s| &s[0]).collect();
         let count = if path_waves > MANY { FEWER } else { LOOKED_AT };
-        let candidates = Candidates::new(&first, around);
+        let candidates = self.candidates(around);
         let stands = candidates.drawn(count);
         let seen = |off: &[Values]| {
             let (mean, error) = mean_square(&[off]);
@@ -159,26 +202,37 @@ impl Draft<'_> {
         // What bends a perfect lens's light shows most: blur hides what is left of it. Caustics, which bend more, may have twice its error.
         let sharp_half = in_cells(bent(&[0], bend, &[1e-2])[0], self.first.bin).clamp(2, half);
         let narrow = Probing { size: 2 * sharp_half + 1, ..probing };
-        let mut of_rays = 4.0 * seen(&narrow.between(&stands, &self.sharp(bend_mm, sharp_half)));
+        let perfect = self.sharp(bend_mm, sharp_half);
         let rays = |of_rays, bytes, candidates| {
             let candidates = Some(candidates);
-            Bent { model: Model::Rays, of_rays, left_out: of_rays, bytes, light: None, candidates }
+            Ok(Some(Bent { model: Model::Rays, of_rays, left_out: of_rays, bytes, light: None, candidates }))
         };
-        if of_rays <= enough {
-            return Ok(Some(rays(of_rays, 0, candidates)));
+        let bare = 4.0 * seen(&narrow.between(&stands, &perfect));
+        if bare <= enough {
+            return rays(bare, 0, candidates);
+        }
+        // The same behind the lens's own blur.
+        let change: Vec<f32> = perfect[0].iter().zip(&perfect[1]).map(|(bent, straight)| bent - straight).collect();
+        let of_rays = probing.form(&self.light, probing.dense, 1);
+        let hidden = probing.behind(&stands, &self.light, &of_rays, (&change, narrow.size));
+        let blurred = HIDDEN * seen(&hidden);
+        if blurred <= enough {
+            return rays(blurred, 0, candidates);
         }
         let waves = self.light.clone().diffracting(lens, Model::Waves)?;
         let bytes = waves.bending_bytes(probing.size, self.first.raster.pitch_mm);
+        let telling = Telling::new(&hidden);
+        let looked: Vec<_> = telling.looked.iter().map(|at| stands[*at]).collect();
         // Kernels of hundreds of waves are made of rays: of as many as those they are held against.
-        let (form, probes) = (probing.form(&waves, probing.dense, 1), probing.probes(&stands));
+        let (form, probes) = (probing.form(&waves, probing.dense, 1), probing.probes(&looked));
         let right = probing.each(&probes, |p| probing.through(p, &waves, &form));
         let off = |values: Vec<Values>| -> f64 {
-            let all = probes.iter().zip(values).zip(&right);
-            seen(&all.map(|((p, v), right)| p.less(v, right)).collect::<Vec<Values>>())
+            let all = probes.iter().zip(values).zip(&right).map(|((p, v), right)| p.less(v, right));
+            seen(&telling.all(all.collect(), &hidden))
         };
-        of_rays = off(probes.iter().map(|p| p.coarse.clone()).collect());
+        let of_rays = off(probes.iter().map(|p| p.coarse.clone()).collect());
         if of_rays <= enough {
-            return Ok(Some(rays(of_rays, bytes, candidates)));
+            return rays(of_rays, bytes, candidates);
         }
         let by = |model, left_out, light| {
             let light = Some(light);
@@ -219,5 +273,29 @@ impl Draft<'_> {
         raster.splat(&mut straight, &[(0, 1.0)], std::iter::once(([0.0; 2], 1.0)));
         #[expect(clippy::cast_possible_truncation, reason = "kernels in single precision")]
         [bent, straight].map(|kernel| kernel.iter().map(|v| *v as f32).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Places that show most are looked at; the others have the largest ratio of those, on what the perfect lens showed there.
+    #[test]
+    fn places_without_a_look_have_the_largest_ratio() {
+        let hidden: Vec<Values> = [1.0f32, 8.0, 2.0, 4.0, 0.0, 1.0].iter().map(|v| vec![*v, -*v]).collect();
+        let telling = Telling::new(&hidden);
+        // One place has three quarters; three are looked at all the same.
+        assert_eq!(telling.looked, [1, 3, 2]);
+        let all = telling.all(vec![vec![12.0, -8.0], vec![2.0, 2.0], vec![6.0, 6.0]], &hidden);
+        // Ratios of squares: 208/128, 8/32, 72/8.
+        assert_eq!(
+            all,
+            [vec![3.0, -3.0], vec![12.0, -8.0], vec![6.0, 6.0], vec![2.0, 2.0], vec![0.0, -0.0], vec![3.0, -3.0]]
+        );
+        // Nothing to be seen: no ratio.
+        let none = vec![vec![0.0f32]; 2];
+        assert_eq!(Telling::new(&none).looked.len(), 1.max(none.len().min(FEWEST)));
+        assert_eq!(Telling::new(&none).all(vec![vec![0.0], vec![0.0]], &none), none);
     }
 }

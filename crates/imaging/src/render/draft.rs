@@ -3,6 +3,8 @@
 use super::needs::{Channels, Needs};
 use super::plan::{DepthPlan, Settings, bent, optics, quadrature, unplaced, widths};
 use super::scene_plan::Request;
+use super::source::WarpedScene;
+use super::stands::Candidates;
 use crate::frame::Frame;
 use crate::plane::{Plane, Region};
 use crate::sensor::spectrum::SpectralDensity;
@@ -28,6 +30,22 @@ fn of_all(scenes: &[Plane], light: &Optics, frame: &Frame, first: &DepthPlan) ->
     let each = scenes.iter().map(|s| Needs::of(s, &light.maps[0], frame, first.reach_px()));
     each.reduce(Needs::and).expect("at least one scene")
 }
+
+/// Samples a pixel that see every texel of `scenes`: of scenes with more than two texels a pixel as many as those, up to the ladder's last.
+fn seen_by(scenes: &[Plane], light: &Optics, frame: &Frame) -> usize {
+    let finest = scenes.iter().map(|s| s.texels_per_slope).fold(0.0, f64::max);
+    let texels = finest * light.maps[0].ratio(0.0).abs() * frame.pitch_mm;
+    if texels <= SEEN {
+        return 1;
+    }
+    let last = Settings::SAMPLES[Settings::SAMPLES.len() - 1];
+    #[expect(clippy::cast_precision_loss, reason = "small counts")]
+    Settings::SAMPLES.into_iter().find(|m| *m as f64 >= texels / SLACK).unwrap_or(last)
+}
+
+/// Texels a pixel up to which one bilinear sample sees all of them; a picture made so many times as large as the frame counts as that.
+const SEEN: f64 = 2.0 * SLACK;
+const SLACK: f64 = 1.05;
 
 /// A plan under way: the lens traced twice, how wide its kernels are, and what of the frame has light.
 pub(super) struct Draft<'a> {
@@ -77,6 +95,10 @@ impl<'a> Draft<'a> {
         let (light, table_error) =
             optics(lens, frame, &[vergence], rule(FEW_WAVELENGTHS), (base.degree, DRAFT_ILLUMINATIONS))?;
         let colours = Optics::compute(lens, &OpticsSpec { quadrature: rule(many), ..light.spec.clone() })?;
+        let mut base = base;
+        if request == Request::Everything {
+            base.samples = base.samples.max(seen_by(scenes, &light, frame));
+        }
         let whole = Region::whole(frame);
         let widths = widths(&colours, frame, 0, whole, &shares(base));
         let first = unplaced(&colours, frame, 0, widths[widths.len() - 1], base);
@@ -103,6 +125,27 @@ impl<'a> Draft<'a> {
             needs,
             region,
         })
+    }
+
+    /// Where probes may stand over `region`, in cells: where the scenes have detail, of which no texel is missed.
+    pub(super) fn candidates(&self, region: Region) -> Candidates {
+        let samples = self.seen();
+        let of = |scene| self.warped(scene, samples);
+        let scenes: Vec<WarpedScene<'_>> = self.scenes.iter().map(of).collect();
+        Candidates::new(&scenes.iter().collect::<Vec<_>>(), region)
+    }
+
+    /// Samples a pixel that see every texel of the scenes.
+    pub(super) fn seen(&self) -> usize {
+        seen_by(self.scenes, &self.light, self.frame)
+    }
+
+    /// A scene at so many samples a pixel: one channel where one serves the only scene, else as many as the image has.
+    pub(super) fn warped<'s>(&'s self, scene: &'s Plane, samples: usize) -> WarpedScene<'s> {
+        let channels = &self.needs.channels;
+        let grey = channels.grey && self.scenes.len() == 1;
+        let shown = Channels { grey, ..channels.clone() }.of_texture(scene);
+        WarpedScene::new(scene, &self.light.maps[0], &self.first.raster, (samples, self.first.bin), shown)
     }
 
     /// The same with windows, cells and what of the frame has light wide enough for light that diffraction bends, by `λ/NA` of `bend_mm`.

@@ -15,7 +15,7 @@ use super::plan::{DepthPlan, RenderPlan, Settings, in_cells, quadrature};
 use super::probe::{Probing, Values};
 use super::renderer::Renderer;
 use super::source::WarpedScene;
-use super::stands::{Candidates, SIDE, Stand};
+use super::stands::{SIDE, Stand};
 use crate::plane::{Plane, Region};
 use crate::render::node_grid::NodeGrid;
 use isoplanat_base::error::Result;
@@ -84,13 +84,14 @@ impl Draft<'_> {
             frame: &first.raster,
             lit: &channels.lit,
             scenes: &sampled,
+            seen: self.seen(),
             size,
             dense: DENSE,
         };
         let around = super::coarse::cells(region, first.bin);
         let stands = match candidates {
             Some(candidates) => candidates.drawn(count),
-            None => Candidates::new(&sampled.iter().map(|s| &s[0]).collect::<Vec<_>>(), around).drawn(count),
+            None => self.candidates(around).drawn(count),
         };
         let probes = probing.probes(&stands);
         let rules: Vec<_> = Settings::WAVELENGTHS
@@ -120,13 +121,9 @@ impl Draft<'_> {
         Ok((cheapest(&found, target, base, &cost(&work)), found))
     }
 
-    /// A scene at every number of samples a pixel up to `most`: one channel where one serves the only scene, else as many as
-    /// the image has.
-    pub(super) fn sampled<'a>(&'a self, scene: &'a Plane, most: usize) -> Vec<WarpedScene<'a>> {
-        let (first, channels) = (&self.first, &self.needs.channels);
-        let grey = channels.grey && self.scenes.len() == 1;
-        let shown = Channels { grey, ..channels.clone() }.of_texture(scene);
-        let of = |m| WarpedScene::new(scene, &self.light.maps[0], &first.raster, (m, first.bin), shown.clone());
+    /// A scene at every number of samples a pixel up to `most`.
+    pub(super) fn sampled<'s>(&'s self, scene: &'s Plane, most: usize) -> Vec<WarpedScene<'s>> {
+        let of = |m| self.warped(scene, m);
         Settings::SAMPLES.into_iter().filter(|m| *m <= most).map(of).collect()
     }
 

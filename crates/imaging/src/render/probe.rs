@@ -7,8 +7,9 @@
 
 use std::collections::HashMap;
 
-use ndarray::{Array4, Axis};
+use ndarray::{Array2, Array4, ArrayView2, Axis, s};
 use rayon::prelude::*;
+use rustfft::num_complex::Complex;
 
 use super::nodes::centre;
 use super::source::WarpedScene;
@@ -16,6 +17,7 @@ use super::stands::Stand;
 use crate::frame::Frame;
 use crate::plane::Region;
 use crate::render::node_grid::NodeGrid;
+use isoplanat_base::math::fft::{RealFft2, good_size};
 use isoplanat_base::math::wide::{Work, wide};
 use isoplanat_base::stop::look;
 use isoplanat_optics::psf::{KernelForm, Optics, Quadrature, SensorPoint};
@@ -62,6 +64,8 @@ pub(crate) struct Probing<'a> {
     pub lit: &'a [usize],
     /// By scene, the scene at each number of samples a pixel (1, 2, 4, …), all of the same channels.
     pub scenes: &'a [Vec<WarpedScene<'a>>],
+    /// Samples a pixel that see every texel.
+    pub seen: usize,
     /// Kernel size in pixels, odd.
     pub size: usize,
     /// Dense points of the kernels.
@@ -151,6 +155,30 @@ fn cropped(flipped: &[f32], size: usize, inner: usize, m: usize) -> Vec<f32> {
 fn put_back(inner: &mut [f32], whole: &[f32]) {
     let missed = (whole.iter().sum::<f32>() - inner.iter().sum::<f32>()) / inner.len() as f32;
     inner.iter_mut().for_each(|v| *v += missed);
+}
+
+/// Kernels of `size` pixels through another, within the window of the first.
+struct Through {
+    fft: RealFft2<f32>,
+    spectrum: Array2<Complex<f32>>,
+    side: usize,
+}
+
+impl Through {
+    fn new(other: &[f32], side: usize, size: usize) -> Self {
+        let padded = good_size(size + side);
+        let fft = RealFft2::new(padded, padded);
+        let spectrum = fft.forward(ArrayView2::from_shape((side, side), other).expect("a square kernel"));
+        Self { fft, spectrum, side }
+    }
+
+    fn kernel(&self, kernel: &[f32], size: usize) -> Vec<f32> {
+        let mut spectrum = self.fft.forward(ArrayView2::from_shape((size, size), kernel).expect("a square kernel"));
+        spectrum.zip_mut_with(&self.spectrum, |a, b| *a *= b);
+        let half = self.side / 2;
+        let rows = self.fft.inverse(spectrum, half, size);
+        rows.outer_iter().flat_map(|row| row.slice(s![half..half + size]).to_vec()).collect()
+    }
 }
 
 fn pixels(region: Region) -> impl Iterator<Item = (usize, usize)> + Clone {
@@ -282,6 +310,30 @@ impl Probing<'_> {
         stands.par_iter().map(of).collect()
     }
 
+    /// Differences that `change`, a kernel of `side` pixels, makes behind the kernels of `form` and `optics` at `stands`, as much as each counts for, at the
+    /// coarsest sampling.
+    pub(crate) fn behind(
+        &self,
+        stands: &[Stand],
+        optics: &Optics,
+        form: &KernelForm,
+        change: (&[f32], usize),
+    ) -> Vec<Values> {
+        let change = Through::new(change.0, change.1, self.size);
+        let of = |Stand { scene, region, weight }: &Stand| {
+            look();
+            let at = self.centre(*region);
+            let patch = Patch::sample(&self.scenes[*scene][0], *region, self.size);
+            let kernels = flipped(optics, self.depth, form, at);
+            let kernels: Vec<Vec<f32>> = kernels.iter().map(|k| change.kernel(k, self.size)).collect();
+            #[expect(clippy::cast_possible_truncation, reason = "a factor on values of pixels")]
+            let scale = weight.sqrt() as f32;
+            let values = self.values(&patch, *region, (&kernels, &self.light(at)), (self.size, self.size));
+            values.into_iter().map(|v| scale * v).collect()
+        };
+        stands.par_iter().map(of).collect()
+    }
+
     /// Differences that windows of `sizes` pixels make.
     pub(crate) fn windows(&self, probe: &Probe, sizes: &[usize]) -> Vec<Values> {
         let light = self.light(self.centre(probe.region));
@@ -384,4 +436,33 @@ fn cubic(nodes: &[f64], at: f64) -> impl Iterator<Item = (usize, f64)> + '_ {
         let others = (first..first + taps).filter(|j| *j != i);
         (i, others.map(|j| (at - nodes[j]) / (nodes[i] - nodes[j])).product())
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A kernel through another by transforms is the plain sum over their pixels.
+    #[test]
+    fn a_kernel_through_another_is_their_sum() {
+        let rng = &mut fastrand::Rng::with_seed(3);
+        for (size, side) in [(7, 5), (5, 9), (31, 3)] {
+            let [kernel, other] =
+                [size, side].map(|n: usize| (0..n * n).map(|_| rng.f32() - 0.5).collect::<Vec<f32>>());
+            let found = Through::new(&other, side, size).kernel(&kernel, size);
+            assert_eq!(found.len(), size * size);
+            for (at, v) in found.iter().enumerate() {
+                let (i, j) = (at / size, at % size);
+                let mut sum = 0.0f64;
+                for (from, k) in kernel.iter().enumerate() {
+                    let [a, b] = [i + side / 2, j + side / 2];
+                    let (p, q) = (a.wrapping_sub(from / size), b.wrapping_sub(from % size));
+                    if p < side && q < side {
+                        sum += f64::from(*k) * f64::from(other[p * side + q]);
+                    }
+                }
+                assert!((f64::from(*v) - sum).abs() < 1e-5, "{size} {side}: {v} for {sum}");
+            }
+        }
+    }
 }

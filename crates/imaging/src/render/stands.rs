@@ -78,18 +78,22 @@ fn places(region: Region, count: usize) -> Vec<Region> {
     out
 }
 
-/// Energy of the second differences of a scene over a place and a pixel around it.
+/// Energy of the second differences of a scene over a place and a pixel around it, a sample a pixel; of several the mean over those that
+/// lie alike in their pixels.
 fn detail(scene: &WarpedScene<'_>, region: Region) -> f64 {
     let around = region.grown(2);
-    let mut values = ndarray::Array4::<f32>::zeros((scene.channels(), 1, around.rows, around.cols));
+    let phases = scene.samples() * scene.samples();
+    let mut values = ndarray::Array4::<f32>::zeros((scene.channels(), phases, around.rows, around.cols));
     scene.fill(around, values.view_mut());
     let mut sum = 0.0;
-    for plane in values.outer_iter() {
-        let v = plane.index_axis(ndarray::Axis(0), 0);
+    let planes = values.into_shape_with_order((scene.channels() * phases, around.rows, around.cols));
+    for v in planes.expect("as it was filled").outer_iter() {
         for (i, j) in (1..around.rows - 1).flat_map(|i| (1..around.cols - 1).map(move |j| (i, j))) {
             let second = 4.0 * v[[i, j]] - v[[i - 1, j]] - v[[i + 1, j]] - v[[i, j - 1]] - v[[i, j + 1]];
             sum += f64::from(second * second);
         }
     }
-    sum
+    #[expect(clippy::cast_precision_loss, reason = "a small count")]
+    let phases = phases as f64;
+    sum / phases
 }

@@ -19,7 +19,7 @@ use self::tolerances::Tolerances;
 use crate::interchange::on_one_axis;
 use crate::lens::Lens;
 use crate::lens::paraxial::{FirstOrder, first_order};
-use isoplanat_base::error::{Error, Location, Result};
+use isoplanat_base::error::{Error, Result};
 
 /// Heights at which an air space is looked at.
 const HEIGHTS: u32 = 256;
@@ -79,13 +79,9 @@ impl Fabrication {
     /// Of `lens`, with what a file states.
     ///
     /// # Errors
-    /// Freeform, tilted or decentred surfaces and ideal lenses, named; tables of the file for parts that the lens does not have; a mechanical diameter smaller than a clear one.
+    /// Freeform, tilted or decentred surfaces, named; tables of the file for parts that the lens does not have; a mechanical diameter smaller than a clear one.
     pub fn new(lens: &Lens, tolerances: &Tolerances, mount: Option<Mount>) -> Result<Self> {
         on_one_axis(lens, "fabrication sheets")?;
-        if let Some(i) = lens.surfaces.iter().position(|s| s.shape.ideal.is_some()) {
-            let place = Location::surface(i).key("ideal_focal_length_mm");
-            return Err(Error::bad(lens.file(), place, "an ideal lens", "surfaces of glass, which can be made"));
-        }
         let elements = elements(lens, |first| tolerances.element(first).diameter_mm);
         let faces: Vec<usize> = elements.iter().flat_map(|e| e.faces.iter().map(|f| f.surface)).collect();
         tolerances.require(&elements.iter().map(Element::first).collect::<Vec<_>>(), &faces)?;
@@ -184,6 +180,12 @@ fn notes(lens: &Lens, elements: &[Element], stop: &Stop) -> Vec<String> {
     if elements.is_empty() {
         notes.push("no glass between two surfaces: there is nothing to make".to_owned());
     }
+    let ideal = lens.surfaces.iter().enumerate().filter(|(_, s)| s.shape.ideal.is_some());
+    notes.extend(
+        ideal.map(|(i, _)| {
+            format!("surface {i} is an ideal lens, which nobody makes: it has no sheet and no tolerances")
+        }),
+    );
     if stop.in_glass {
         notes.push(format!(
             "the aperture stop (surface {}, ⌀ {:.4} mm) stands inside a glass: as a groove, or between two halves; its sheet shows one piece",
@@ -200,6 +202,17 @@ fn notes(lens: &Lens, elements: &[Element], stop: &Stop) -> Vec<String> {
 mod tests {
     use super::*;
     use crate::lens::{Medium, Pose, builtin};
+
+    /// An ideal lens behind a lens of glass is told, and is no element.
+    #[test]
+    fn ideal_lenses_are_told() {
+        let [_, glass, .., ideal] = crate::lens::test_lenses::every_kind();
+        let [a, b] =
+            [&glass, &ideal].map(|l| Fabrication::new(&l.upright().expect("a lens"), &Tolerances::default(), None));
+        let (a, b) = (a.expect("made"), b.expect("made"));
+        assert_eq!(a.elements.len(), b.elements.len());
+        assert!(b.notes.iter().any(|n| n.contains("ideal lens")) && !a.notes.iter().any(|n| n.contains("ideal lens")));
+    }
 
     fn of(name: &str) -> Fabrication {
         let lens = builtin::lens(name).expect("shipped");

@@ -38,7 +38,9 @@ pub(super) fn read(text: &str, file: &str, reading: Reading) -> Result<Draft> {
     for (number, raw) in text.lines().enumerate() {
         let mut words = raw.split_whitespace();
         let Some(keyword) = words.next() else { continue };
-        let surface = surfaces.last().filter(|_| keyword != "SURF");
+        // What stands behind the surfaces is none's.
+        let outside = keyword == "SURF" || configurations.begun() && !raw.starts_with(char::is_whitespace);
+        let surface = surfaces.last().filter(|_| !outside);
         let label = surface.map(|s| s.place().label.clone()).unwrap_or_default();
         let place = Location { label, ..Location::line(number + 1) };
         let stated: Vec<&str> = words.collect();

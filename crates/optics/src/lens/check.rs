@@ -125,13 +125,14 @@ impl Prescription {
                 return Err(Error::bad(file, "wavelengths.nm", nm.to_string(), "200 to 20000 nm"));
             }
         }
-        if w.weights.iter().any(|x| !x.is_finite() || *x < 0.0) || w.weights.iter().sum::<f64>() <= 0.0 {
+        let sum: f64 = w.weights.iter().sum();
+        if w.weights.iter().any(|x| !x.is_finite() || *x < 0.0) || !(sum > 0.0 && sum.is_finite()) {
             let found = format!("{:?}", w.weights);
             return Err(Error::bad(
                 file,
                 "wavelengths.weights",
                 found,
-                "weights that are not negative and not all zero",
+                "weights that are not negative and not all zero, whose sum is a number",
             ));
         }
         Ok(())
@@ -145,7 +146,7 @@ impl Prescription {
         }
         if s.axis_px.iter().any(|a| !a.is_finite() || a.abs() > 1e6) {
             let found = format!("{:?}", s.axis_px);
-            return Err(Error::bad(file, "sensor.axis_px", found, "two finite numbers of pixels"));
+            return Err(Error::bad(file, "sensor.axis_px", found, "two numbers of pixels from -1e6 to 1e6"));
         }
         if !(LEAST_PITCH_UM..=MOST_PITCH_UM).contains(&s.pitch_um) {
             let allowed = format!("{LEAST_PITCH_UM} to {MOST_PITCH_UM} µm");
