@@ -93,9 +93,11 @@ pub(super) const MANY: f64 = 30.0;
 const FEW: f64 = 8.0;
 const WIDE: usize = 65;
 const FEWER: usize = 4;
-/// What a perfect lens's diffraction shows behind the blur of rays, as a mean square, and what diffraction shows: at most this many times as much. Five
-/// times was the most that was seen, on pixels that resolve caustics.
+/// What a perfect lens's diffraction shows behind the blur of rays, as a mean square, and what diffraction shows: at most [`HIDDEN`] times as much where paths
+/// differ by no more wavelengths than [`PLAIN`]. Five times was the most that was seen there, on pixels that resolve caustics; fringes at the edges of
+/// a blur of nine wavelengths of defocus are nineteen times as much.
 const HIDDEN: f64 = 10.0;
+const PLAIN: f64 = 3.0;
 /// Places that are looked at by waves show so much of what a perfect lens's diffraction shows behind the blur, and are as many at least.
 const TELLING: f64 = 0.5;
 const FEWEST: usize = 3;
@@ -140,8 +142,16 @@ impl Telling {
         Self { looked }
     }
 
+    /// All of so many.
+    fn every(count: usize) -> Self {
+        Self { looked: (0..count).collect() }
+    }
+
     /// Differences at all places, of those `seen` where they were looked at.
     fn all(&self, seen: Vec<Values>, hidden: &[Values]) -> Vec<Values> {
+        if self.looked.len() > hidden.len() {
+            return seen;
+        }
         let ratio = |(at, seen): (&usize, &Values)| square(seen) / square(&hidden[*at]);
         let most = self.looked.iter().zip(&seen).map(ratio).filter(|r| r.is_finite()).fold(0.0, f64::max);
         #[expect(clippy::cast_possible_truncation, reason = "a factor on values of pixels")]
@@ -174,7 +184,9 @@ impl Draft<'_> {
         let Ok([bend_mm, path_waves]) = self.light.look_at_bending(lens) else {
             return self.stated(lens, Model::Rays).map(Some);
         };
-        let sampled: Vec<Vec<WarpedScene<'_>>> = self.scenes.iter().map(|scene| self.sampled(scene, 1)).collect();
+        // A sample a cell, the mean of as many points as see every texel.
+        let even = |scene| vec![self.warped(scene, (1, self.first.bin * self.seen()))];
+        let sampled: Vec<Vec<WarpedScene<'_>>> = self.scenes.iter().map(even).collect();
         // As far as most of what bends.
         let bend = bend_mm / self.frame.pitch_mm;
         let far = bent(&self.widths[..1], bend, &[1e-2])[0];
@@ -213,15 +225,20 @@ impl Draft<'_> {
         }
         // The same behind the lens's own blur.
         let change: Vec<f32> = perfect[0].iter().zip(&perfect[1]).map(|(bent, straight)| bent - straight).collect();
-        let of_rays = probing.form(&self.light, probing.dense, 1);
-        let hidden = probing.behind(&stands, &self.light, &of_rays, (&change, narrow.size));
-        let blurred = HIDDEN * seen(&hidden);
-        if blurred <= enough {
-            return rays(blurred, 0, candidates);
-        }
+        let hidden = if path_waves <= PLAIN {
+            let of_rays = probing.form(&self.light, probing.dense, 1);
+            let hidden = probing.behind(&stands, &self.light, &of_rays, (&change, narrow.size));
+            let blurred = HIDDEN * seen(&hidden);
+            if blurred <= enough {
+                return rays(blurred, 0, candidates);
+            }
+            hidden
+        } else {
+            Vec::new()
+        };
         let waves = self.light.clone().diffracting(lens, Model::Waves)?;
         let bytes = waves.bending_bytes(probing.size, self.first.raster.pitch_mm);
-        let telling = Telling::new(&hidden);
+        let telling = if hidden.is_empty() { Telling::every(stands.len()) } else { Telling::new(&hidden) };
         let looked: Vec<_> = telling.looked.iter().map(|at| stands[*at]).collect();
         // Kernels of hundreds of waves are made of rays: of as many as those they are held against.
         let (form, probes) = (probing.form(&waves, probing.dense, 1), probing.probes(&looked));
@@ -293,6 +310,7 @@ mod tests {
             all,
             [vec![3.0, -3.0], vec![12.0, -8.0], vec![6.0, 6.0], vec![2.0, 2.0], vec![0.0, -0.0], vec![3.0, -3.0]]
         );
+        assert_eq!(Telling::every(2).all(all[..2].to_vec(), &[]), all[..2]);
         // Nothing to be seen: no ratio.
         let none = vec![vec![0.0f32]; 2];
         assert_eq!(Telling::new(&none).looked.len(), 1.max(none.len().min(FEWEST)));

@@ -130,7 +130,7 @@ impl<'a> Draft<'a> {
     /// Where probes may stand over `region`, in cells: where the scenes have detail, of which no texel is missed.
     pub(super) fn candidates(&self, region: Region) -> Candidates {
         let samples = self.seen();
-        let of = |scene| self.warped(scene, samples);
+        let of = |scene| self.warped(scene, (samples, self.first.bin));
         let scenes: Vec<WarpedScene<'_>> = self.scenes.iter().map(of).collect();
         Candidates::new(&scenes.iter().collect::<Vec<_>>(), region)
     }
@@ -140,12 +140,13 @@ impl<'a> Draft<'a> {
         seen_by(self.scenes, &self.light, self.frame)
     }
 
-    /// A scene at so many samples a pixel: one channel where one serves the only scene, else as many as the image has.
-    pub(super) fn warped<'s>(&'s self, scene: &'s Plane, samples: usize) -> WarpedScene<'s> {
+    /// A scene at so many samples a cell, each the mean of so many points along each axis: one channel where one serves the only scene, else as many as the
+    /// image has.
+    pub(super) fn warped<'s>(&'s self, scene: &'s Plane, sampling: (usize, usize)) -> WarpedScene<'s> {
         let channels = &self.needs.channels;
         let grey = channels.grey && self.scenes.len() == 1;
         let shown = Channels { grey, ..channels.clone() }.of_texture(scene);
-        WarpedScene::new(scene, &self.light.maps[0], &self.first.raster, (samples, self.first.bin), shown)
+        WarpedScene::new(scene, &self.light.maps[0], &self.first.raster, sampling, shown)
     }
 
     /// The same with windows, cells and what of the frame has light wide enough for light that diffraction bends, by `λ/NA` of `bend_mm`.

@@ -123,7 +123,7 @@ impl Draft<'_> {
 
     /// A scene at every number of samples a pixel up to `most`.
     pub(super) fn sampled<'s>(&'s self, scene: &'s Plane, most: usize) -> Vec<WarpedScene<'s>> {
-        let of = |m| self.warped(scene, m);
+        let of = |m| self.warped(scene, (m, self.first.bin));
         Settings::SAMPLES.into_iter().filter(|m| *m <= most).map(of).collect()
     }
 
