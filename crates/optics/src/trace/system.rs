@@ -24,7 +24,7 @@ pub struct TraceSurface {
     pub domain: f64,
     /// Upper bound of the slope `|∇h|` within [`Self::domain`].
     pub steepest: f64,
-    /// Of an ideal lens: the pair of planes between which its paths are equal, 1/mm; see [`paraxial::conjugates`].
+    /// Of an ideal lens: the pair of planes between which its paths are equal, 1/mm: half of what the reduced vergence of the object before it exceeds that of its image by.
     pub conjugate: f64,
 }
 
