@@ -71,8 +71,7 @@ fn at(lens: &Lens, nm: f64) -> Vec<Seidel> {
     for (i, s) in lens.surfaces.iter().enumerate() {
         let (before, after) = (n[i], n[i + 1]);
         let c = s.shape.vertex_curvature();
-        let power = s.shape.power(before, after);
-        let refracted = |y: f64, u: f64| (before * u - y * power) / after;
+        let refracted = |y: f64, u: f64| (before * u - s.shape.deflection(y, before, after)) / after;
         let (u_after, u_chief_after) = (refracted(y, u), refracted(y_chief, u_chief));
         let (a, a_chief) = (before * (u + y * c), before * (u_chief + y_chief * c));
         let lagrange = a * y_chief - a_chief * y;

@@ -94,6 +94,11 @@ impl Shape {
         self.ideal_power().unwrap_or_else(|| (n1 - n) * self.vertex_curvature())
     }
 
+    /// What a paraxial ray at height `y` loses of `n u` here: its height times [`Self::power`].
+    pub(crate) fn deflection(&self, y: f64, n: f64, n1: f64) -> f64 {
+        self.ideal_power().map_or_else(|| y * (n1 - n) * self.vertex_curvature(), |power| y * power)
+    }
+
     /// Adds the pull-back of a cotangent on [`Self::power`] to the shape's cotangent `bar`; returns those of `n` and `n1`.
     pub(crate) fn power_vjp(&self, n: f64, n1: f64, power_bar: f64, bar: &mut Self) -> [f64; 2] {
         if self.ideal.is_some() {

@@ -22,7 +22,7 @@ fn sweep(system: &System) -> Vec<[f64; 2]> {
     for i in system.stop + 1..system.surfaces.len() {
         let s = &system.surfaces[i];
         y += s.distance / s.index_before * w;
-        w -= y * s.shape.power(s.index_before, s.index_after);
+        w -= s.shape.deflection(y, s.index_before, s.index_after);
         states.push([y, w]);
     }
     states
@@ -46,7 +46,7 @@ pub(crate) fn exit_pupil_vjp(system: &System, bar: &ExitPupil, out: &mut SystemG
         let by_index = s.shape.power_vjp(n, n1, -w_bar * y, &mut out.shapes[i]);
         out.indices[i] += by_index[0];
         out.indices[i + 1] += by_index[1];
-        y_bar -= w_bar * s.shape.power(n, n1);
+        y_bar -= s.shape.deflection(w_bar, n, n1);
         out.distances[i] += y_bar * w_in / n;
         out.indices[i] -= y_bar * s.distance * w_in / (n * n);
         w_bar += y_bar * s.distance / n;

@@ -25,7 +25,7 @@ impl ParaxialStop {
                     y += s.distance / s.index_before * w;
                 }
                 if i < system.stop {
-                    w -= y * s.shape.power(s.index_before, s.index_after);
+                    w -= s.shape.deflection(y, s.index_before, s.index_after);
                 }
             }
             y

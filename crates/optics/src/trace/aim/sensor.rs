@@ -104,7 +104,7 @@ impl SensorView {
             for (i, s) in reversed.surfaces[..=reversed.stop].iter().enumerate().skip(1) {
                 y += s.distance / s.index_before * w;
                 if i < reversed.stop {
-                    w -= y * s.shape.power(s.index_before, s.index_after);
+                    w -= s.shape.deflection(y, s.index_before, s.index_after);
                 }
             }
             y
