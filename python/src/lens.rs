@@ -155,6 +155,12 @@ impl Lens {
         1.0 / self.inner.object_vergence
     }
 
+    /// Medium between the object and the first surface.
+    #[getter]
+    fn object_medium(&self) -> String {
+        self.inner.object_medium.to_string()
+    }
+
     /// The raster that its file states.
     #[getter]
     fn frame(&self) -> PyResult<Frame> {

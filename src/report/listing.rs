@@ -170,6 +170,7 @@ impl<'a> Listing<'a> {
             "weights": lens.wavelengths.weights,
             "colour_nm": lens.wavelengths.ends_nm(),
             "stop_surface": lens.stop,
+            "object_medium": lens.object_medium.to_string(),
             "sensor": lens.sensor,
             "surfaces": self.rows(),
             "seidel_mm": seidel::total(&self.seidel),
@@ -219,7 +220,7 @@ impl<'a> Listing<'a> {
         let mut table = Table::new(["medium", "index", "known, nm", "source"]);
         // Media of one name may be several: tables of a lens file.
         let mut seen: Vec<&Medium> = Vec::new();
-        for medium in self.lens.surfaces.iter().map(|s| &s.medium).filter(|m| **m != Medium::Air) {
+        for medium in self.lens.media().filter(|m| **m != Medium::Air) {
             let ([short, long], name) = (medium.range_nm(), medium.to_string());
             if !seen.contains(&medium) {
                 let index = format!("{:.6}", medium.index(self.wavelength_nm));
@@ -284,6 +285,10 @@ impl fmt::Display for Listing<'_> {
             Aperture::ObjectNa(na) => format!("numerical aperture {} in object space", significant(na, 6)),
         };
         let s = &lens.sensor;
+        if lens.object_medium != Medium::Air {
+            let index = significant(lens.object_medium.index(self.wavelength_nm), 7);
+            writeln!(f, "the object lies in {}, index {index}", lens.object_medium)?;
+        }
         writeln!(f, "aperture: {aperture}; sensor {} × {} pixels of {} µm\n", s.columns, s.rows, s.pitch_um)?;
         writeln!(f, "{}\n{}", self.first_order_table(), self.surface_table())?;
         writeln!(f, "{}", self.media_table())?;

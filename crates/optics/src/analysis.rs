@@ -11,6 +11,8 @@ pub mod deviations;
 pub mod diffraction;
 pub mod fabrication;
 pub mod fan;
+#[cfg(test)]
+mod immersion;
 pub mod overview;
 pub mod scatter;
 pub mod spot;

@@ -75,7 +75,7 @@ pub enum Aperture {
     FNumber(f64),
     /// Semi-diameter of the stop surface, mm.
     StopSemiDiameter(f64),
-    /// Numerical aperture in object space: sine of the paraxial marginal ray's angle, of an object that is not at infinity.
+    /// Numerical aperture in object space: sine of the paraxial marginal ray's angle times the index there, of an object that is not at infinity.
     ObjectNa(f64),
 }
 
@@ -164,6 +164,8 @@ pub struct Prescription {
     pub aperture: Aperture,
     /// `1/distance` of the object before the first vertex, 1/mm; 0 is infinity.
     pub object_vergence: f64,
+    /// Medium between the object and the first surface.
+    pub object_medium: Medium,
     /// Largest field (as the file states it).
     pub field: Field,
     /// Design wavelengths.
@@ -277,20 +279,39 @@ pub fn unchecked(lens: &Lens, change: impl FnOnce(&mut Prescription)) -> Lens {
     Lens { numbers, file: lens.file.clone() }
 }
 
+/// Where a file states the medium of a space, counted as [`Prescription::media`] does.
+pub(crate) fn place_of_medium(space: usize) -> Location {
+    match space.checked_sub(1) {
+        Some(surface) => Location::surface(surface).key("medium"),
+        None => "object.medium".into(),
+    }
+}
+
 impl Prescription {
-    /// Refractive index of every space at `nm`: entry 0 is the object space (air), entry `i + 1` follows surface `i`.
+    /// Refractive index of every space at `nm`: entry 0 is the object space, entry `i + 1` follows surface `i`.
     pub fn indices(&self, nm: f64) -> Vec<f64> {
-        std::iter::once(1.0).chain(self.surfaces.iter().map(|s| s.medium.index(nm))).collect()
+        self.media().map(|medium| medium.index(nm)).collect()
+    }
+
+    /// Medium of every space: entry 0 is the object space, entry `i + 1` follows surface `i`.
+    pub fn media(&self) -> impl Iterator<Item = &Medium> {
+        std::iter::once(&self.object_medium).chain(self.surfaces.iter().map(|s| &s.medium))
+    }
+
+    /// Medium before surface `i`.
+    #[doc(hidden)]
+    pub fn medium_before(&self, i: usize) -> &Medium {
+        i.checked_sub(1).map_or(&self.object_medium, |k| &self.surfaces[k].medium)
     }
 
     /// Refuses a wavelength at which a medium's index is not known; `file` names the lens.
     pub fn require_indices(&self, nm: f64, file: &str) -> Result<()> {
-        for (i, s) in self.surfaces.iter().enumerate() {
-            let [short, long] = s.medium.range_nm();
+        for (space, medium) in self.media().enumerate() {
+            let [short, long] = medium.range_nm();
             if !(short..=long).contains(&nm) {
-                let found = format!("{} at {nm} nm", s.medium);
+                let found = format!("{medium} at {nm} nm");
                 let allowed = format!("{short} to {long} nm, where its index is known");
-                return Err(Error::bad(file, Location::surface(i).key("medium"), found, allowed));
+                return Err(Error::bad(file, place_of_medium(space), found, allowed));
             }
         }
         Ok(())

@@ -192,6 +192,9 @@ fn notes(lens: &Lens, elements: &[Element], stop: &Stop) -> Vec<String> {
             stop.surface, stop.diameter_mm
         ));
     }
+    if lens.object_medium != crate::lens::Medium::Air {
+        notes.push(format!("{} between the object and the first surface is no part of the lens", lens.object_medium));
+    }
     if let Some(last) = lens.surfaces.last().filter(|s| s.medium != crate::lens::Medium::Air) {
         notes.push(format!("{} behind the last surface reaches the sensor: it has no rear face here", last.medium));
     }

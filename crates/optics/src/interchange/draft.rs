@@ -12,7 +12,7 @@ pub(super) struct Draft {
     pub(super) kind: &'static str,
     /// Object distance before the first surface, mm.
     pub(super) object_mm: f64,
-    /// Medium that an object at infinity lies in.
+    /// Medium between the object and the first surface.
     pub(super) object_medium: Stated,
     /// How far behind the last distance's end the image plane lies, mm: not positive. Below 0 the image is virtual.
     pub(super) image_back_mm: f64,

@@ -27,17 +27,17 @@ const POINT_PITCH_UM: f64 = 1.0;
 pub(super) fn finish(mut draft: Draft, file: &str, glasses: &Glasses) -> Result<Imported> {
     solve::put(&mut draft, glasses);
     order::put(&mut draft, file)?;
-    within_glass(&mut draft);
     let mut stages = std::mem::take(&mut draft.surfaces);
     let stop = the_stop(&mut stages, &mut draft.notes, file)?;
     end_at_reach(&mut stages, &mut draft.notes);
     let model = Medium::Cauchy { n_d: 1.5, v_d: 50.0 }.range_nm();
     let offered = draft.wavelengths.iter().all(|(nm, weight)| *weight == 0.0 || (model[0]..=model[1]).contains(nm));
-    for stage in &mut stages {
-        if let Stated::Line(line) = &stage.medium {
-            stage.medium = Stated::Line(line.clone().offering(offered));
+    for medium in stages.iter_mut().map(|s| &mut s.medium).chain([&mut draft.object_medium]) {
+        if let Stated::Line(line) = medium {
+            line.offering(offered);
         }
     }
+    let object_medium = object_medium(&mut draft, file, glasses)?;
     let mut surfaces = Vec::with_capacity(stages.len());
     for stage in &stages {
         surfaces.push(surface(stage, file, glasses, &draft.catalogues, &mut draft.notes)?);
@@ -59,6 +59,7 @@ pub(super) fn finish(mut draft: Draft, file: &str, glasses: &Glasses) -> Result<
         stop,
         aperture: Aperture::StopSemiDiameter(1.0),
         object_vergence: draft.object_mm.recip(),
+        object_medium,
         field: Field::Angle(0.0),
         wavelengths: Wavelengths {
             nm: draft.wavelengths.iter().map(|w| w.0).collect(),
@@ -155,21 +156,16 @@ fn the_stop(stages: &mut [Stage], notes: &mut Vec<String>, file: &str) -> Result
     }
 }
 
-/// Light of an object at infinity within glass arrives in parallel, and so does light that enters that glass through a plane: such a plane is put
-/// before the first surface.
-fn within_glass(draft: &mut Draft) {
-    if draft.object_medium == Stated::Air {
-        return;
+/// The medium that the object lies in.
+fn object_medium(draft: &mut Draft, file: &str, glasses: &Glasses) -> Result<Medium> {
+    let place = || Location::called("the object");
+    let (medium, told) =
+        (draft.object_medium.resolve_told(glasses, &draft.catalogues)).map_err(|e| e.within(place()).in_file(file))?;
+    draft.notes.extend(told.map(|told| format!("{}: {told}", place())));
+    if medium != Medium::Air {
+        draft.notes.push(format!("the object lies within {medium}: field angles are those in it"));
     }
-    let mut plane = Stage::plane(Location::called("the object's medium"));
-    plane.medium = draft.object_medium.clone();
-    // Before the first surface's rim.
-    if let Some((c, r)) = draft.surfaces.first().and_then(|s| Some((s.curvature, s.semi_diameter.or(s.computed)?))) {
-        let share = (c * r).abs().min(1.0);
-        plane.thickness = if c < 0.0 { share * r } else { 0.0 };
-    }
-    draft.surfaces.insert(0, plane);
-    draft.notes.push("the object lies within a medium: its light enters there through a plane before the first surface, and field angles are those in the medium".into());
+    Ok(medium)
 }
 
 /// Clear semi-diameters that a file states end where the conic ends: no surface reaches further.
@@ -232,7 +228,8 @@ fn aperture(draft: &Draft, numbers: &Prescription, stop: &Stage, file: &str) -> 
     let finite = numbers.object_vergence > 0.0;
     let telecentric = paraxial::field_origin(numbers).telecentric;
     // The marginal ray's slope at the object, by that at the image.
-    let object_na = |slope: f64| Aperture::ObjectNa((first.magnification * slope).abs().atan().sin());
+    let n = numbers.object_medium.index(numbers.wavelengths.primary_nm);
+    let object_na = |slope: f64| Aperture::ObjectNa(n * (first.magnification * slope / n).abs().atan().sin());
     let found = match size {
         Size::EntrancePupil(_) | Size::FNumber(_) if telecentric => {
             let found = "a pupil's diameter or f-number of a lens that is telecentric in object space";
@@ -352,17 +349,6 @@ fn fields(
             }
         } else {
             (angle_of(p.x.hypot(p.y))?, p.y.atan2(p.x))
-        };
-        let angle = if draft.field == FieldKind::Angle && draft.object_medium != Stated::Air {
-            // Beyond the plane before the lens the same light has this angle in air.
-            let sine = numbers.surfaces[0].medium.index(numbers.wavelengths.primary_nm) * angle.sin();
-            if angle >= std::f64::consts::FRAC_PI_2 || sine >= 1.0 {
-                let found = format!("{:.4}° within the object's medium", angle.to_degrees());
-                return Err(Error::bad(file, "field", found, "less than the angle of total reflection towards air"));
-            }
-            sine.asin()
-        } else {
-            angle
         };
         if !angle.is_finite() {
             return Err(Error::bad(file, "field", format!("({}, {})", p.x, p.y), "finite numbers"));

@@ -42,9 +42,9 @@ impl OfLine {
         }
     }
 
-    /// The same for light of wavelengths at which a model glass is known, or is not.
-    pub(super) fn offering(self, offered: bool) -> Self {
-        Self { offered, ..self }
+    /// Says whether the light has wavelengths at which a model glass is known.
+    pub(super) fn offering(&mut self, offered: bool) {
+        self.offered = offered;
     }
 
     pub(super) fn resolve(&self, glasses: &Glasses, catalogues: &[String]) -> Result<(Medium, Option<String>)> {

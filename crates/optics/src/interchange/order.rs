@@ -25,19 +25,21 @@ pub(super) fn put(draft: &mut Draft, file: &str) -> Result<()> {
     let mut next = 0;
     while next < count {
         let first = next;
-        let last = *run(&draft.surfaces, first).end();
-        // Before the first surface there is air, too: leading planes belong together with what follows them.
+        let last = *run(draft, first).end();
+        // Of an object in air leading planes belong together with what follows them.
         sort(draft, first, last, file)?;
         next = last + 1;
     }
     Ok(())
 }
 
-/// A plane in air on which the object stands is part of the object's space: the distance behind it is the object's.
+/// A plane on which the object stands is part of the object's space: the distance behind it is the object's, and the medium there.
 fn object_at_a_plane(draft: &mut Draft) {
-    while draft.object_mm == 0.0 && draft.surfaces.len() > 1 && dummy(&draft.surfaces, 0) && !draft.surfaces[0].stop {
+    let stands = |s: &Stage| s.is_flat() && !s.stop;
+    while draft.object_mm == 0.0 && draft.surfaces.len() > 1 && stands(&draft.surfaces[0]) {
         let plane = draft.surfaces.remove(0);
         draft.object_mm = plane.thickness;
+        draft.object_medium = plane.medium;
         draft.notes.push(format!(
             "{}: a plane that the object stands on: distances count from it, and it is left out",
             plane.place
@@ -46,9 +48,9 @@ fn object_at_a_plane(draft: &mut Draft) {
 }
 
 /// The surface `first` and all planes in air behind it, up to the next real surface.
-fn run(surfaces: &[Stage], first: usize) -> std::ops::RangeInclusive<usize> {
-    let mut last = first;
-    while last + 1 < surfaces.len() && surfaces[last].medium == Stated::Air && dummy(surfaces, last + 1) {
+fn run(draft: &Draft, first: usize) -> std::ops::RangeInclusive<usize> {
+    let (surfaces, mut last) = (&draft.surfaces, first);
+    while last + 1 < surfaces.len() && surfaces[last].medium == Stated::Air && dummy(draft, last + 1) {
         last += 1;
     }
     first..=last
@@ -60,8 +62,8 @@ fn leave_out_beyond(draft: &mut Draft) {
     let mut left = Vec::new();
     let mut first = 0;
     while first < draft.surfaces.len() {
-        let run = run(&draft.surfaces, first);
-        let (last, leading) = (*run.end(), first == 0 && dummy(&draft.surfaces, 0));
+        let run = run(draft, first);
+        let (last, leading) = (*run.end(), first == 0 && dummy(draft, 0));
         let mut places = vec![0.0];
         for s in &draft.surfaces[run] {
             places.push(places[places.len() - 1] + s.thickness);
@@ -98,7 +100,7 @@ fn leave_out_beyond(draft: &mut Draft) {
 /// An image plane before the last real surface is a virtual image: the plane is put at the end of what stands before it, and how far it lies
 /// from there is kept.
 fn virtual_image(draft: &mut Draft) {
-    let last = (0..draft.surfaces.len()).rev().find(|i| !dummy(&draft.surfaces, *i));
+    let last = (0..draft.surfaces.len()).rev().find(|i| !dummy(draft, *i));
     let Some(last) = last else { return };
     let (mut place, mut farthest) = (0.0f64, 0.0f64);
     for s in &draft.surfaces[last..] {
@@ -120,16 +122,17 @@ fn virtual_image(draft: &mut Draft) {
 }
 
 /// Whether the surface is a plane with air on both sides.
-fn dummy(surfaces: &[Stage], i: usize) -> bool {
-    let before = i == 0 || surfaces[i - 1].medium == Stated::Air;
-    before && surfaces[i].medium == Stated::Air && surfaces[i].is_flat()
+fn dummy(draft: &Draft, i: usize) -> bool {
+    let before = i.checked_sub(1).map_or(&draft.object_medium, |k| &draft.surfaces[k].medium);
+    let surface = &draft.surfaces[i];
+    [before, &surface.medium] == [&Stated::Air; 2] && surface.is_flat()
 }
 
 /// Puts the planes behind `first` up to `last` in the order of their places between their real neighbours.
 fn sort(draft: &mut Draft, first: usize, last: usize, file: &str) -> Result<()> {
-    let surfaces = &mut draft.surfaces;
     // The first itself may be a plane at the very front.
-    let from = if first == 0 && dummy(surfaces, 0) { 0 } else { first + 1 };
+    let from = if first == 0 && dummy(draft, 0) { 0 } else { first + 1 };
+    let surfaces = &mut draft.surfaces;
     let run = &surfaces[first..=last];
     if run.iter().all(|s| s.thickness >= 0.0) {
         return Ok(());

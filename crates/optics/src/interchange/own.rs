@@ -55,7 +55,7 @@ pub(super) fn read(text: &str, file: &str, glasses: &Glasses) -> Result<Imported
 /// A name of this program's own form is a shipped glass's: told where a catalogue that was given has another of that name.
 fn namesakes(numbers: &Prescription, glasses: &Glasses) -> Vec<String> {
     let mut told: Vec<String> = Vec::new();
-    for medium in numbers.surfaces.iter().map(|s| &s.medium) {
+    for medium in numbers.media() {
         let others = glasses.namesakes(medium);
         if !others.is_empty() {
             let note = format!(

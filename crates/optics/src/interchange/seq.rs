@@ -165,6 +165,7 @@ impl Reader<'_> {
                     return Err(line.refused("a curved object", "a plane object"));
                 }
                 self.object = Some(object(surface::length(line, 1)? * unit));
+                self.draft.object_medium = self.medium_behind(line)?;
             }
             "S" => self.surface(line)?,
             "SI" => {

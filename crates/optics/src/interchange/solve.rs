@@ -1,6 +1,7 @@
 //! Distances that a solve puts at the paraxial image: `PIM` of CODE V, `MAZH 0 0` of Zemax.
 
 use super::draft::{Draft, Stage};
+use super::media::Stated;
 use crate::lens::catalogue::Glasses;
 
 /// A stated distance within this part of the solved one is the solve's own, in the digits of the file.
@@ -19,11 +20,13 @@ pub(super) struct OnAxis {
 pub(super) fn on_axis(draft: &Draft, stages: &mut [Stage], glasses: &Glasses) -> Vec<OnAxis> {
     let mut found = Vec::new();
     let Some((nm, _)) = draft.wavelengths.get(draft.primary) else { return found };
+    let index = |stated: &Stated| stated.resolve(glasses, &draft.catalogues).map(|m| m.index(*nm));
+    let Ok(mut before) = index(&draft.object_medium) else { return found };
     // Height and reduced angle, `n` times the slope.
-    let (mut height, mut angle) = (1.0, if draft.object_mm.is_finite() { draft.object_mm.recip() } else { 0.0 });
-    let mut before = 1.0;
+    let mut height = 1.0;
+    let mut angle = if draft.object_mm.is_finite() { before / draft.object_mm } else { 0.0 };
     for stage in stages {
-        let Ok(behind) = stage.medium.resolve(glasses, &draft.catalogues).map(|m| m.index(*nm)) else { break };
+        let Ok(behind) = index(&stage.medium) else { break };
         let curvature = stage.curvature + 2.0 * stage.even.first().copied().unwrap_or(0.0);
         angle -= height * stage.ideal.map_or(curvature * (behind - before), f64::recip);
         let image = Some(-height * behind / angle).filter(|d| d.is_finite());

@@ -15,6 +15,7 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
     super::text::on_one_axis(lens, "a CODE V file")?;
     let mut notes = Vec::new();
     let mut private = Vec::new();
+    let object_medium = medium(lens, &lens.object_medium, glasses, &mut private);
     let mut body = String::new();
     for (i, s) in lens.surfaces.iter().enumerate() {
         let medium = medium(lens, &s.medium, glasses, &mut private);
@@ -59,7 +60,7 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
     let by_angle = matches!(lens.aperture, Aperture::ObjectNa(_)) || paraxial::field_origin(lens).telecentric;
     let size = if by_angle {
         let slope = lens.object_vergence * paraxial::marginal_height(lens, w.primary_nm);
-        format!("NAO {}", plain(slope.atan().sin()))
+        format!("NAO {}", plain(lens.object_medium.index(w.primary_nm) * slope.atan().sin()))
     } else {
         format!("EPD {}", plain(first.entrance_pupil_diameter))
     };
@@ -81,7 +82,8 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
         out.push_str("END\n");
     }
     let object = 1.0 / lens.object_vergence;
-    let _ = write!(out, "SO 0 {}\n{body}SI 0 0\nGO\n", if object.is_finite() { plain(object) } else { "1e13".into() });
+    let object = if object.is_finite() { plain(object) } else { "1e13".into() };
+    let _ = write!(out, "SO 0 {object}{object_medium}\n{body}SI 0 0\nGO\n");
     notes.push("a CODE V file states no sensor: its pixels are left out".into());
     notes.push(if by_angle {
         "the aperture is written as the numerical aperture in object space".into()

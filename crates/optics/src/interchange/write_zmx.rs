@@ -5,8 +5,8 @@ use std::fmt::Write;
 use super::model_glass::lines_of;
 use super::text::plain;
 use crate::lens::catalogue::{Glasses, Naming};
-use crate::lens::{Aperture, Lens, Medium, Shape, Surface, paraxial};
-use isoplanat_base::error::{Error, Location, Result};
+use crate::lens::{Aperture, Lens, Medium, Shape, Surface, paraxial, place_of_medium};
+use isoplanat_base::error::{Error, Result};
 
 /// Wavelengths that OpticStudio takes.
 const MOST_WAVELENGTHS: usize = 24;
@@ -16,6 +16,7 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
     super::text::on_one_axis(lens, "a Zemax file")?;
     let mut notes = Vec::new();
     let mut catalogues: Vec<String> = Vec::new();
+    let object_glass = glass(lens, 0, glasses, &mut catalogues)?;
     let mut body = String::new();
     for (i, s) in lens.surfaces.iter().enumerate() {
         let _ = write!(body, "SURF {}\n{}", i + 1, surface(lens, i, s, glasses, &mut catalogues, &mut notes)?);
@@ -57,7 +58,7 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
     let _ = writeln!(out, "PWAV {}", primary.unwrap_or(colours.len() - 1) + 1);
     let object = 1.0 / lens.object_vergence;
     let distance = if object.is_finite() { plain(object) } else { "INFINITY".into() };
-    let _ = write!(out, "SURF 0\n  TYPE STANDARD\n  CURV 0\n  DISZ {distance}\n{body}");
+    let _ = write!(out, "SURF 0\n  TYPE STANDARD\n  CURV 0\n  DISZ {distance}\n{object_glass}{body}");
     let _ = write!(out, "SURF {}\n  TYPE STANDARD\n  CURV 0\n  DISZ 0\n", lens.surfaces.len() + 1);
     notes.push("a Zemax file states no sensor: its pixels are left out".into());
     Ok((out, notes))
@@ -68,24 +69,24 @@ fn ordered(lens: &Lens, glasses: &Glasses, mut names: Vec<String>) -> Result<Vec
     let colours: Vec<f64> = lens.wavelengths.nm.iter().copied().chain([lens.wavelengths.primary_nm]).collect();
     // Each wrong find moves the right catalogue before the wrong one; a circle ends it.
     for _ in 0..=names.len() * names.len() {
-        let wrong = lens.surfaces.iter().enumerate().find_map(|(i, s)| {
-            let (catalogue, name) = glasses.named_as(&s.medium)?;
+        let wrong = lens.media().enumerate().find_map(|(space, medium)| {
+            let (catalogue, name) = glasses.named_as(medium)?;
             let found = glasses.catalogued(&name, Naming::Foreign(&names));
             // A newer edition of a catalogue may give the glass another range, and the same indices.
-            let alike = |m: Medium| colours.iter().all(|nm| (m.index(*nm) - s.medium.index(*nm)).abs() <= 1e-12);
-            (!found.is_ok_and(alike)).then_some((i, catalogue))
+            let alike = |m: Medium| colours.iter().all(|nm| (m.index(*nm) - medium.index(*nm)).abs() <= 1e-12);
+            (!found.is_ok_and(alike)).then_some((space, medium, catalogue))
         });
-        let Some((i, catalogue)) = wrong else { return Ok(names) };
+        let Some((space, medium, catalogue)) = wrong else { return Ok(names) };
         match names.iter().position(|n| *n == catalogue) {
             Some(at) if at > 0 => {
                 let moved = names.remove(at);
                 names.insert(0, moved);
             }
             _ => {
-                let found = format!("the glass {} of {catalogue}, whose name others have", lens.surfaces[i].medium);
+                let found = format!("the glass {medium} of {catalogue}, whose name others have");
                 return Err(Error::bad(
                     lens.file(),
-                    Location::surface(i).key("medium"),
+                    place_of_medium(space),
                     found,
                     "glasses that one list of catalogues tells apart",
                 ));
@@ -102,6 +103,33 @@ fn micrometres(nm: f64) -> String {
     plain(exact.unwrap_or(um))
 }
 
+/// The line of the medium of a space, counted as [`crate::lens::Prescription::media`] does; nothing of air.
+fn glass(lens: &Lens, space: usize, glasses: &Glasses, catalogues: &mut Vec<String>) -> Result<String> {
+    let Some(medium) = lens.media().nth(space) else { return Ok(String::new()) };
+    Ok(match medium {
+        Medium::Air => String::new(),
+        Medium::Cauchy { .. } => {
+            let (n, v) = lines_of(medium);
+            format!("  GLAS ___BLANK 1 0 {} {} 0 0 0 0 0 0\n", plain(n), plain(v))
+        }
+        // One index for all wavelengths.
+        Medium::Table { index, .. } if index.iter().all(|n| *n == index[0]) => {
+            format!("  GLAS ___BLANK 1 0 {} 0 0 0 0 0 0 0\n", plain(index[0]))
+        }
+        medium => {
+            let Some((catalogue, name)) = glasses.named_as(medium) else {
+                let allowed = "a glass of a catalogue, or { n_d, v_d }: a Zemax file has no tables";
+                return Err(Error::bad(lens.file(), place_of_medium(space), medium.to_string(), allowed));
+            };
+            let (n, v) = lines_of(medium);
+            if !catalogues.contains(&catalogue) {
+                catalogues.push(catalogue);
+            }
+            format!("  GLAS {name} 0 0 {} {} 0 0 0 0 0 0\n", plain(n), plain(v))
+        }
+    })
+}
+
 fn surface(
     lens: &Lens,
     i: usize,
@@ -110,7 +138,6 @@ fn surface(
     catalogues: &mut Vec<String>,
     notes: &mut Vec<String>,
 ) -> Result<String> {
-    let refused = |found: &str, allowed: &str| Err(Error::bad(lens.file(), Location::surface(i), found, allowed));
     let mut out = String::new();
     if i == lens.stop {
         out.push_str("  STOP\n");
@@ -145,30 +172,7 @@ fn surface(
         };
     }
     let _ = writeln!(out, "  DISZ {}", plain(s.thickness));
-    match &s.medium {
-        Medium::Air => {}
-        Medium::Cauchy { .. } => {
-            let (n, v) = lines_of(&s.medium);
-            let _ = writeln!(out, "  GLAS ___BLANK 1 0 {} {} 0 0 0 0 0 0", plain(n), plain(v));
-        }
-        // One index for all wavelengths.
-        Medium::Table { index, .. } if index.iter().all(|n| *n == index[0]) => {
-            let _ = writeln!(out, "  GLAS ___BLANK 1 0 {} 0 0 0 0 0 0 0", plain(index[0]));
-        }
-        medium => {
-            let Some((catalogue, name)) = glasses.named_as(medium) else {
-                return refused(
-                    &format!("the medium {medium}"),
-                    "a glass of a catalogue, or { n_d, v_d }: a Zemax file has no tables",
-                );
-            };
-            let (n, v) = lines_of(medium);
-            let _ = writeln!(out, "  GLAS {name} 0 0 {} {} 0 0 0 0 0 0", plain(n), plain(v));
-            if !catalogues.contains(&catalogue) {
-                catalogues.push(catalogue);
-            }
-        }
-    }
+    out.push_str(&glass(lens, i + 1, glasses, catalogues)?);
     if *conic != 0.0 {
         let _ = writeln!(out, "  CONI {}", plain(*conic));
     }

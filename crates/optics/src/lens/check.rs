@@ -28,7 +28,7 @@ impl Prescription {
         self.check_numbers(file)?;
         for (i, s) in self.surfaces.iter().enumerate() {
             check_surface(s, i, file)?;
-            let before = i.checked_sub(1).map_or(&Medium::Air, |k| &self.surfaces[k].medium);
+            let before = self.medium_before(i);
             if s.shape.ideal.is_some() && [before, &s.medium] != [&Medium::Air; 2] {
                 let place = Location::surface(i).key("ideal_focal_length_mm");
                 let found = format!("between {before} and {}", s.medium);
@@ -101,11 +101,18 @@ impl Prescription {
         self.check_wavelengths(file)?;
         self.check_sensor(file)?;
         numbers::check(self, file)?;
-        for (i, s) in self.surfaces.iter().enumerate() {
-            check_table(&s.medium, i, file)?;
+        for (space, medium) in self.media().enumerate() {
+            check_table(medium, space, file)?;
         }
         for nm in self.wavelengths.nm.iter().chain([&self.wavelengths.primary_nm]) {
             self.require_indices(*nm, file)?;
+        }
+        let index = self.object_medium.index(self.wavelengths.primary_nm);
+        if let Aperture::ObjectNa(na) = self.aperture
+            && na >= index
+        {
+            let allowed = format!("above 0, below {index}, the index that the object lies in");
+            return refuse("aperture.object_space_na", na.to_string(), &allowed);
         }
         Ok(())
     }
@@ -160,8 +167,8 @@ impl Prescription {
 const LEAST_PITCH_UM: f64 = 0.02;
 const MOST_PITCH_UM: f64 = 1e6;
 
-/// What a table of indices behind surface `surface` must be.
-fn check_table(medium: &Medium, surface: usize, file: &str) -> Result<()> {
+/// What a table of indices must be, that of the medium of `space`.
+fn check_table(medium: &Medium, space: usize, file: &str) -> Result<()> {
     if let Medium::Table { wavelength_nm, index } = medium {
         let ascending = wavelength_nm.windows(2).all(|w| w[0] < w[1]);
         if index.is_empty()
@@ -171,7 +178,7 @@ fn check_table(medium: &Medium, surface: usize, file: &str) -> Result<()> {
         {
             let found = format!("wavelength_nm = {wavelength_nm:?}, index = {index:?}");
             let allowed = "ascending wavelengths from 100 to 100000 nm, as many indices from 1 to 5";
-            return Err(Error::bad(file, Location::surface(surface).key("medium"), found, allowed));
+            return Err(Error::bad(file, super::place_of_medium(space), found, allowed));
         }
     }
     Ok(())

@@ -1,6 +1,6 @@
 //! What the surfaces of a lens must leave each other, the stop and the sensor.
 
-use super::{Aperture, Medium, Prescription, Surface, paraxial};
+use super::{Aperture, Prescription, Surface, paraxial};
 use isoplanat_base::error::{Error, Location, Result};
 use isoplanat_base::figures::significant;
 
@@ -49,7 +49,7 @@ impl Overlap {
 
 /// Whether surface `i` only marks a place: the same medium on both sides.
 fn is_dummy(lens: &Prescription, i: usize) -> bool {
-    lens.surfaces[i].medium == if i == 0 { Medium::Air } else { lens.surfaces[i - 1].medium.clone() }
+    lens.surfaces[i].medium == *lens.medium_before(i)
 }
 
 /// Overlaps of neighbouring surfaces within the clear semi-diameters that both have. Stops and other surfaces that refract nothing may stand anywhere

@@ -222,6 +222,14 @@ pub(super) fn check(lens: &Prescription, file: &str) -> Result<()> {
             return Err(Error::bad(file, parameter.place(lens), in_file(value).to_string(), *said));
         }
     }
+    // The object's medium has numbers of no surface, which no design moves.
+    for Line { at, key, allowed: (holds, said), .. } in Kind::ALL.map(Kind::line) {
+        if let At::Medium(get, _) = at
+            && let Some(value) = get(&lens.object_medium).iter().find(|v| !holds(**v))
+        {
+            return Err(Error::bad(file, Location::from("object").key(*key), value.to_string(), *said));
+        }
+    }
     Ok(())
 }
 

@@ -46,10 +46,10 @@ pub struct FirstOrder {
     pub lagrange_invariant: f64,
 }
 
-/// `(y, w)` arriving at every surface and, last, after the last surface; starts from `(y, w)` at the first vertex.
-pub(crate) fn sweep(lens: &Prescription, n: &[f64], y: f64, w: f64) -> Vec<[f64; 2]> {
+/// `(y, w)` arriving at every surface and, last, after the last surface; starts at the first vertex with the height `y` and the slope `u`.
+pub(crate) fn sweep(lens: &Prescription, n: &[f64], y: f64, u: f64) -> Vec<[f64; 2]> {
+    let (mut y, mut w) = (y, n[0] * u);
     let mut state = vec![[y, w]];
-    let (mut y, mut w) = (y, w);
     for (i, s) in lens.surfaces.iter().enumerate() {
         w -= y * power(lens, n, i);
         if i + 1 < lens.surfaces.len() {
@@ -177,12 +177,12 @@ pub fn first_order(lens: &Prescription, nm: f64) -> FirstOrder {
     let last = lens.surfaces.len();
     let (parallel, skew) = (sweep(lens, &n, 1.0, 0.0), sweep(lens, &n, 0.0, 1.0));
     let [yk, wk] = parallel[last];
-    let n_last = n[last];
+    let (n_first, n_last) = (n[0], n[last]);
     // Of a lens without power on either side of infinity the same.
     let efl = if wk == 0.0 { f64::INFINITY } else { -1.0 / wk };
     // Height at the stop, of the parallel ray and of the ray through the first vertex.
     let (a, b) = (parallel[lens.stop][0], skew[lens.stop][0]);
-    let stop = stop_from(lens, [a, b], efl);
+    let stop = stop_from(lens, n_first, [a, b], efl);
     let entrance_pupil_position = b / a;
     let origin = FieldOrigin::of(a, b, lens.object_vergence);
     // Chief ray: zero at the stop.
@@ -198,14 +198,15 @@ pub fn first_order(lens: &Prescription, nm: f64) -> FirstOrder {
     let marginal = stop / (a + v * b);
     FirstOrder {
         front_focal_length: ffl,
-        front_principal_point: ffl + efl,
+        front_principal_point: ffl + n_first * efl,
         rear_principal_point: bfl - n_last * efl,
         front_nodal_point: ffl + n_last * efl,
-        rear_nodal_point: bfl - efl,
+        rear_nodal_point: bfl - n_first * efl,
         exit_pupil_diameter: (epd * (yk + exit_pupil_position / n_last * wk)).abs(),
-        magnification: v / axial[1],
+        magnification: n_first * v / axial[1],
         working_f_number: (0.5 / (marginal * axial[1])).abs(),
-        lagrange_invariant: (marginal * lens.max_field_deg().to_radians().tan() * origin.object_slope()).abs(),
+        lagrange_invariant: (n_first * marginal * lens.max_field_deg().to_radians().tan() * origin.object_slope())
+            .abs(),
         effective_focal_length: efl,
         back_focal_length: bfl,
         f_number: (efl / epd).abs(),
@@ -218,19 +219,25 @@ pub fn first_order(lens: &Prescription, nm: f64) -> FirstOrder {
 }
 
 /// The stop's semi-diameter from the aperture's statement and the heights `[a, b]` in the stop of the ray that enters parallel to the axis
-/// at height 1 and of the ray through the first vertex with `n u = 1`.
-fn stop_from(lens: &Prescription, [a, b]: [f64; 2], efl: f64) -> f64 {
+/// at height 1 and of the ray through the first vertex with slope 1; `n` is the object space's index.
+fn stop_from(lens: &Prescription, n: f64, [a, b]: [f64; 2], efl: f64) -> f64 {
     match lens.aperture {
         Aperture::StopSemiDiameter(r) => r,
         Aperture::EntrancePupilDiameter(d) => 0.5 * d * a,
         Aperture::FNumber(f) => 0.5 * efl / f * a,
-        Aperture::ObjectNa(na) => marginal_slope(na) * (a / lens.object_vergence + b),
+        Aperture::ObjectNa(na) => marginal_slope(na, n) * (a / lens.object_vergence + b),
     }
 }
 
-/// Slope of the marginal ray of a numerical aperture `n sin u` in air.
-pub(crate) fn marginal_slope(na: f64) -> f64 {
-    na / ((1.0 - na) * (1.0 + na)).sqrt()
+/// Slope of the marginal ray of a numerical aperture `n sin u` in a medium of index `n`.
+pub(crate) fn marginal_slope(na: f64, n: f64) -> f64 {
+    let sine = na / n;
+    sine / ((1.0 - sine) * (1.0 + sine)).sqrt()
+}
+
+/// How [`marginal_slope`] changes with the numerical aperture: `(1 − sin² u)^{−3/2}/n`, which is `(tan u/sin u)³/n`.
+pub(crate) fn marginal_slope_by_na(na: f64, n: f64) -> f64 {
+    (marginal_slope(na, n) / (na / n)).powi(3) / n
 }
 
 /// Where field angles are counted in a lens: the middle of the paraxial entrance pupil, in homogeneous coordinates.
@@ -291,10 +298,10 @@ pub(crate) fn angle_of_height(lens: &Prescription, height: f64) -> f64 {
     (height * lens.object_vergence / field_origin(lens).object_slope()).abs().atan()
 }
 
-/// Heights in the stop of the ray that enters parallel to the axis at height 1 and of the ray through the first vertex with `n u = 1`.
+/// Heights in the stop of the ray that enters parallel to the axis at height 1 and of the ray through the first vertex with slope 1.
 fn stop_heights(lens: &Prescription, nm: f64) -> [f64; 2] {
     let n = lens.indices(nm);
-    [[1.0, 0.0], [0.0, 1.0]].map(|[y, w]| sweep(lens, &n, y, w)[lens.stop][0])
+    [[1.0, 0.0], [0.0, 1.0]].map(|[y, u]| sweep(lens, &n, y, u)[lens.stop][0])
 }
 
 /// Height and slope before the first vertex of the paraxial chief ray of a point in the object's plane whose light has the slope
@@ -325,8 +332,8 @@ pub(crate) fn marginal_heights(lens: &Prescription, nm: f64) -> Vec<f64> {
 
 /// Heights up to which a paraxial beam meets every surface whose object point's light has the slope `slope` at the first vertex, mm.
 pub(crate) fn beam_heights(lens: &Prescription, nm: f64, slope: f64) -> Vec<f64> {
-    let [y, w] = chief_ray(lens, nm, slope);
-    let chief = sweep(lens, &lens.indices(nm), y, w);
+    let [y, u] = chief_ray(lens, nm, slope);
+    let chief = sweep(lens, &lens.indices(nm), y, u);
     marginal_heights(lens, nm).iter().zip(chief).map(|(marginal, [chief, _])| marginal + chief.abs()).collect()
 }
 
@@ -351,7 +358,7 @@ pub fn first_order_vjp(lens: &Prescription, nm: f64, efl_bar: f64, stop_bar: f64
     let (state, skew) = (sweep(lens, &n, 1.0, 0.0), sweep(lens, &n, 0.0, 1.0));
     let wk = state[last][1];
     let (efl, height, skew_height) = (-1.0 / wk, state[lens.stop][0], skew[lens.stop][0]);
-    let stop_bar = stop_bar * stop_from(lens, [height, skew_height], efl).signum();
+    let stop_bar = stop_bar * stop_from(lens, n[0], [height, skew_height], efl).signum();
     let (mut efl_bar, mut height_bar, mut skew_bar) = (efl_bar, 0.0, 0.0);
     let own = match lens.aperture {
         Aperture::StopSemiDiameter(_) => stop_bar,
@@ -365,11 +372,10 @@ pub fn first_order_vjp(lens: &Prescription, nm: f64, efl_bar: f64, stop_bar: f64
             -stop_bar * 0.5 * efl * height / (f * f)
         }
         Aperture::ObjectNa(na) => {
-            let (u, v) = (marginal_slope(na), lens.object_vergence);
+            let (u, v) = (marginal_slope(na, n[0]), lens.object_vergence);
             height_bar = stop_bar * u / v;
             skew_bar = stop_bar * u;
-            // du/dNA = (1 − NA²)^{−3/2} = (u/NA)³.
-            stop_bar * (u / na).powi(3) * (height / v + skew_height)
+            stop_bar * marginal_slope_by_na(na, n[0]) * (height / v + skew_height)
         }
     };
     *g.aperture.number_mut() += own;
@@ -421,7 +427,9 @@ mod tests {
     #[test]
     fn conjugates_vjp_agrees_with_differences() {
         let [.., lens] = crate::lens::test_lenses::every_kind();
-        let lens = lens.changed(|l| l.object_vergence = 1.0 / 400.0).expect("a lens");
+        let gel = super::super::Medium::Table { wavelength_nm: vec![440.0, 680.0], index: vec![1.11, 1.1] };
+        let near = lens.changed(|l| (l.object_vergence, l.object_medium) = (1.0 / 400.0, gel));
+        let lens = near.expect("a lens");
         let last = lens.surfaces.len() - 1;
         let at = |l: &Prescription| conjugates(l, 550.0)[last];
         // The image of the surfaces before stands behind the ideal lens: a virtual object.

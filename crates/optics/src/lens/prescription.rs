@@ -50,6 +50,8 @@ struct FileAperture {
 #[serde(deny_unknown_fields)]
 struct FileObject {
     distance_mm: f64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    medium: Option<FileMedium>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -280,6 +282,10 @@ pub(crate) fn read(text: &str, file: &str, glasses: &Glasses) -> Result<Read> {
         .enumerate()
         .map(|(i, s)| read_surface(i, s, file, glasses))
         .collect::<Result<Vec<_>>>()?;
+    let object_medium = match parsed.object.medium {
+        Some(stated) => read_medium(stated, &"object".into(), file, glasses)?,
+        None => Medium::Air,
+    };
     let numbers = Prescription {
         name: parsed.name,
         source: parsed.source,
@@ -288,6 +294,7 @@ pub(crate) fn read(text: &str, file: &str, glasses: &Glasses) -> Result<Read> {
         stop,
         aperture,
         object_vergence: 1.0 / parsed.object.distance_mm,
+        object_medium,
         field,
         wavelengths: Wavelengths {
             nm: parsed.wavelengths.nm,
@@ -327,20 +334,47 @@ fn read_surface(i: usize, s: FileSurface, file: &str, glasses: &Glasses) -> Resu
     let xy = s.xy.map(|p| freeform::xy(p, &place("xy"), file)).transpose()?;
     let ideal = s.ideal_focal_length_mm;
     let shape = Shape { curvature, conic: s.conic, asphere, odd, zernike, xy, ideal };
-    let medium = match s.medium {
+    let medium = read_medium(s.medium, &Location::surface(i), file, glasses)?;
+    let pose = freeform::pose(s.tilt_deg, s.decentre_mm);
+    Ok(Surface { shape, thickness: s.thickness_mm, medium, semi_diameter: s.semi_diameter_mm.unwrap_or(UNKNOWN), pose })
+}
+
+/// The medium that a surface or the object states.
+fn read_medium(stated: FileMedium, within: &Location, file: &str, glasses: &Glasses) -> Result<Medium> {
+    Ok(match stated {
         FileMedium::Name(name) => {
-            glasses.find(&name, Naming::Own).map_err(|e| e.within(Location::surface(i)).in_file(file))?
+            glasses.find(&name, Naming::Own).map_err(|e| e.within(within.clone()).in_file(file))?
         }
         FileMedium::Model(FileModelGlass { n_d, v_d }) => Medium::Cauchy { n_d, v_d },
         FileMedium::Formula(FileGlass { name, formula, coefficients, range_nm, source }) => {
             catalogue::glass(&name, &source, formula, coefficients, range_nm).map_err(|why| {
-                refuse("medium", format!("glass `{name}`: {why}"), "a dispersion that holds within its range")
+                let found = format!("glass `{name}`: {why}");
+                Error::bad(file, within.clone().key("medium"), found, "a dispersion that holds within its range")
             })?
         }
         FileMedium::Table(FileTableGlass { wavelength_nm, index }) => Medium::Table { wavelength_nm, index },
-    };
-    let pose = freeform::pose(s.tilt_deg, s.decentre_mm);
-    Ok(Surface { shape, thickness: s.thickness_mm, medium, semi_diameter: s.semi_diameter_mm.unwrap_or(UNKNOWN), pose })
+    })
+}
+
+fn write_medium(medium: &Medium) -> FileMedium {
+    match medium {
+        Medium::Air => FileMedium::Name("air".into()),
+        Medium::Cauchy { n_d, v_d } => FileMedium::Model(FileModelGlass { n_d: *n_d, v_d: *v_d }),
+        // A name says enough where the shipped catalogue says the same of it.
+        Medium::Glass { name, .. } if Glasses::shipped().find(name, Naming::Exact).is_ok_and(|m| m == *medium) => {
+            FileMedium::Name(name.clone())
+        }
+        Medium::Glass { name, dispersion, range_nm, source } => FileMedium::Formula(FileGlass {
+            name: name.clone(),
+            formula: dispersion.formula(),
+            coefficients: dispersion.coefficients().to_vec(),
+            range_nm: *range_nm,
+            source: source.clone(),
+        }),
+        Medium::Table { wavelength_nm, index } => {
+            FileMedium::Table(FileTableGlass { wavelength_nm: wavelength_nm.clone(), index: index.clone() })
+        }
+    }
 }
 
 /// The canonical TOML form: reading it gives the same lens to the last bit.
@@ -362,7 +396,10 @@ pub fn to_toml(lens: &Prescription) -> String {
         name: lens.name.clone(),
         source: lens.source.clone(),
         aperture,
-        object: FileObject { distance_mm: 1.0 / lens.object_vergence },
+        object: FileObject {
+            distance_mm: 1.0 / lens.object_vergence,
+            medium: (lens.object_medium != Medium::Air).then(|| write_medium(&lens.object_medium)),
+        },
         field,
         wavelengths: FileWavelengths {
             nm: lens.wavelengths.nm.clone(),
@@ -397,24 +434,7 @@ fn write_surface(s: &Surface, stop: bool) -> FileSurface {
         conic: *conic,
         asphere: terms(asphere, 2).chain(terms(odd, 3)).collect(),
         thickness_mm: s.thickness,
-        medium: match &s.medium {
-            Medium::Air => FileMedium::Name("air".into()),
-            Medium::Cauchy { n_d, v_d } => FileMedium::Model(FileModelGlass { n_d: *n_d, v_d: *v_d }),
-            // A name says enough where the shipped catalogue says the same of it.
-            Medium::Glass { name, .. } if Glasses::shipped().find(name, Naming::Exact).is_ok_and(|m| m == s.medium) => {
-                FileMedium::Name(name.clone())
-            }
-            Medium::Glass { name, dispersion, range_nm, source } => FileMedium::Formula(FileGlass {
-                name: name.clone(),
-                formula: dispersion.formula(),
-                coefficients: dispersion.coefficients().to_vec(),
-                range_nm: *range_nm,
-                source: source.clone(),
-            }),
-            Medium::Table { wavelength_nm, index } => {
-                FileMedium::Table(FileTableGlass { wavelength_nm: wavelength_nm.clone(), index: index.clone() })
-            }
-        },
+        medium: write_medium(&s.medium),
         semi_diameter_mm: Some(s.semi_diameter),
         stop,
         tilt_deg: s.pose.map(|p| p.tilt.map(freeform::degrees)),

@@ -1,7 +1,7 @@
 //! First-order data with their derivatives by the variables, forward: two paraxial rays and one displacement of them a variable.
 
 use super::engine::index_by;
-use crate::lens::paraxial::{marginal_slope, sweep, sweep_jvp};
+use crate::lens::paraxial::{marginal_slope, marginal_slope_by_na, sweep, sweep_jvp};
 use crate::lens::variables::Variables;
 use crate::lens::{Aperture, Kind, Prescription};
 
@@ -73,7 +73,7 @@ impl FirstOrder {
     pub(crate) fn new(numbers: &Prescription, variables: &Variables) -> Self {
         let n = numbers.indices(numbers.wavelengths.primary_nm);
         let count = variables.parameters.len();
-        let states = [[1.0, 0.0], [0.0, 1.0]].map(|[y, w]| sweep(numbers, &n, y, w));
+        let states = [[1.0, 0.0], [0.0, 1.0]].map(|[y, u]| sweep(numbers, &n, y, u));
         // Height at the stop, n'u' behind the last surface.
         let ends = |states: &[[f64; 2]]| [states[numbers.stop][0], states[numbers.surfaces.len()][1]];
         let rays = states.each_ref().map(|state| ends(state));
@@ -100,9 +100,9 @@ impl FirstOrder {
             Aperture::StopSemiDiameter(r) => own(r, 0.0, 1.0),
             Aperture::EntrancePupilDiameter(d) => own(0.5 * d * height, 0.5 * d, 0.5 * height),
             Aperture::ObjectNa(na) => {
-                let (u, v) = (marginal_slope(na), numbers.object_vergence);
+                let (u, v) = (marginal_slope(na, n[0]), numbers.object_vergence);
                 let at_stop = height / v + b.value;
-                let mut stop = own(u * at_stop, u / v, (u / na).powi(3) * at_stop);
+                let mut stop = own(u * at_stop, u / v, marginal_slope_by_na(na, n[0]) * at_stop);
                 stop.by.iter_mut().zip(&b.by).for_each(|(s, db)| *s += u * db);
                 stop
             }

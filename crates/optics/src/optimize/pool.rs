@@ -98,7 +98,7 @@ impl Pool {
     /// Whether `medium` may stand behind the surface `i` of `lens`, beside what stands there.
     pub(super) fn fits(&self, lens: &Lens, i: usize, medium: &Medium) -> bool {
         let polymer = |m: &Medium| self.polymers.contains(m);
-        let before = i.checked_sub(1).map(|k| &lens.surfaces[k].medium);
+        let before = [lens.medium_before(i)];
         let behind = lens.surfaces.get(i + 1).map(|s| &s.medium);
         // Two numbers or a table do not say what they are of.
         let differs = |m: &&Medium| matches!(m, Medium::Glass { .. }) && polymer(m) != polymer(medium);

@@ -164,12 +164,13 @@ impl Rays {
                 let rays = aim(&engine, &mut self.work, &mut self.columns, planes, places, &targets)?;
                 let image = engine.system.image();
                 let index = engine.system.surfaces[image].index_before;
+                let before = engine.system.surfaces[0].index_before;
                 for (i, ray) in rays.iter().enumerate() {
                     let landing = engine.behind(&self.work, image, i);
                     landed[at * TILE + i] = Landing {
                         at: landing.origin.truncate(),
                         direction: index * landing.direction,
-                        path: engine.path(&self.work, i) + planes(i).path(ray),
+                        path: engine.path(&self.work, i) + before * planes(i).path(ray),
                     };
                     if colour.primary || samples[i].weight > 0.0 {
                         for (k, height) in out.heights.iter_mut().enumerate() {
@@ -235,7 +236,8 @@ impl Rays {
                     places[i].inverse = inverse;
                     let (px, py) = (pull(x), pull(y));
                     let pw = if wavefront {
-                        let (o, _) = plane(i).path_vjp(&rays[i], 1.0);
+                        let before = engine.system.surfaces[0].index_before;
+                        let (o, _) = plane(i).path_vjp(&rays[i], before);
                         plane(i).ray_vjp(&rays[i], w.origin[i] + o, w.direction[i]).0
                     } else {
                         DVec2::ZERO

@@ -278,7 +278,7 @@ fn score(numbers: &Prescription) -> Option<f64> {
     // Marginal and chief ray, for incidences: what is bent strongly has high orders.
     let (mut y, mut u, mut yc, mut uc) = (height, 0.0, -field * first.entrance_pupil_position, field);
     let mut sum = [0.0f64; 5];
-    let invariant = height * field;
+    let invariant = n[0] * height * field;
     let mut bends = 0.0;
     for (i, s) in numbers.surfaces.iter().enumerate() {
         let (before, after, c) = (n[i], n[i + 1], s.shape.curvature);
@@ -291,12 +291,12 @@ fn score(numbers: &Prescription) -> Option<f64> {
         sum[1] += a * b * y * delta;
         sum[2] += b * b * y * delta;
         sum[3] += invariant * invariant * c * (before - after) / (before * after);
-        let dispersion = |m: Option<&Medium>| {
+        let dispersion = |m: &Medium| {
             let [short, long] = numbers.wavelengths.ends_nm();
-            m.map_or(0.0, |m| m.index(short) - m.index(long))
+            m.index(short) - m.index(long)
         };
-        let behind = dispersion(Some(&s.medium)) / after;
-        let ahead = dispersion(i.checked_sub(1).map(|k| &numbers.surfaces[k].medium)) / before;
+        let behind = dispersion(&s.medium) / after;
+        let ahead = dispersion(numbers.medium_before(i)) / before;
         sum[4] += a * y * (behind - ahead);
         bends += incidence.powi(4) + chief.powi(4);
         (u, uc) = (u_after, uc_after);

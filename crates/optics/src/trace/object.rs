@@ -198,7 +198,7 @@ impl LaunchPlane {
 
     /// `∂(origin, direction)/∂p`, one pair for each of the plane's axes.
     #[inline]
-    pub(super) fn ray_columns(&self, ray: &Ray) -> [(DVec3, DVec3); 2] {
+    pub(crate) fn ray_columns(&self, ray: &Ray) -> [(DVec3, DVec3); 2] {
         let v = self.object.vergence;
         let length = (self.object.direction + v * ray.origin).length();
         [self.u, self.w].map(|u| (u, v / length * (u - ray.direction * ray.direction.dot(u))))

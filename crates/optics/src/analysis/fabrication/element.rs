@@ -161,7 +161,7 @@ impl Element {
 
 /// The elements of a lens; `diameter` states mechanical diameters by the first surface. A plane of division within one glass is no face.
 pub(crate) fn elements(lens: &Lens, diameter: impl Fn(usize) -> Option<f64>) -> Vec<Element> {
-    let before = |i: usize| i.checked_sub(1).map_or(&Medium::Air, |k| &lens.surfaces[k].medium);
+    let before = |i: usize| lens.medium_before(i);
     let vertices = lens.vertices();
     let mut elements = Vec::new();
     let mut run: Vec<usize> = Vec::new();

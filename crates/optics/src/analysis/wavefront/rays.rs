@@ -10,7 +10,7 @@ use glam::{DMat2, DVec2, DVec3};
 use crate::trace::aim::{Aimed, Aimer};
 use crate::trace::differential::{RayDot, trace_jvp};
 use crate::trace::sequential::{first_vignetted, trace};
-use crate::trace::{Cause, Failure, ObjectPoint, Ray, System};
+use crate::trace::{Cause, Failure, ObjectPoint, System};
 
 /// A ray at the image plane.
 #[derive(Clone, Debug, PartialEq)]
@@ -96,15 +96,7 @@ impl<'a> Source<'a> {
         let mut hits = Vec::with_capacity(system.surfaces.len());
         let hit = trace(system, aimed.ray, system.image(), &mut hits)?;
         // Areas in the stop and in direction cosines that a part of the launch plane becomes.
-        let p = aimed.plane.through(aimed.ray.origin);
-        let step = 1e-3 * radius.max(1e-3);
-        let dots = [DVec2::X, DVec2::Y].map(|e| {
-            let (a, b): (Ray, Ray) = (aimed.plane.ray(p - step * e), aimed.plane.ray(p + step * e));
-            RayDot {
-                point: (b.origin - a.origin) / (2.0 * step),
-                direction: (b.direction - a.direction) / (2.0 * step),
-            }
-        });
+        let dots = aimed.plane.ray_columns(&aimed.ray).map(|(point, direction)| RayDot { point, direction });
         let [a, b] = dots.map(|dot| trace_jvp(system, &hits[..=system.stop], dot).point.truncate());
         let ends = dots.map(|dot| trace_jvp(system, &hits, dot));
         let [c, d] = ends.map(|dot| self.index * dot.direction.truncate());

@@ -114,6 +114,9 @@ fn surfaces(part: &Part, draft: &mut Draft) -> Result<()> {
         places.push(here);
     }
     draft.object_mm = places[0] - z(object)?;
+    if let Some(behind) = object.get("material_post") {
+        draft.object_medium = medium(&behind)?;
+    }
     for (i, s) in middle.iter().enumerate() {
         let mut stage = surface(s)?;
         stage.thickness = places[i + 1] - places[i];

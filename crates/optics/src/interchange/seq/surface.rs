@@ -46,6 +46,11 @@ impl Reader<'_> {
                 self.object = Some(super::object(length(rest, 0)? * self.scale));
                 Ok(())
             }
+            Subject::Object if keyword == "GLA" => {
+                let name = rest.words.first().ok_or_else(|| line.refused("no glass", "its name"))?;
+                self.draft.object_medium = self.medium(name);
+                Ok(())
+            }
             Subject::Image if keyword == "THI" => {
                 self.image = Some(rest.number(0)? * self.scale);
                 Ok(())
@@ -61,7 +66,7 @@ impl Reader<'_> {
             }
             Subject::Object | Subject::Image if named.is_some() => Err(rest.refused(
                 format!("the statement `{}` of the object or the image", shown(keyword)),
-                "THI, and apertures, of them",
+                "THI, and apertures, of them, GLA of the object",
             )),
             Subject::Object | Subject::Image | Subject::None => self.read_over(keyword, line),
         }
@@ -209,19 +214,23 @@ impl Reader<'_> {
         // Without RDM numbers are curvatures; an infinite one is a plane's radius.
         stage.curvature = curvature(number, self.radii == Some(true) || number.is_infinite()) / self.scale;
         stage.thickness = line.number(1)? * self.scale;
-        if let Some(name) = line.words.get(2) {
-            if name.eq_ignore_ascii_case("REFL") || line.words.get(3).is_some_and(|w| w.eq_ignore_ascii_case("REFL")) {
-                return Err(line.refused("a mirror (REFL)", "refracting surfaces"));
-            }
-            // Index and Abbe number in the glass's place.
-            let number = |i: usize| line.words.get(i).and_then(|w| w.parse::<f64>().ok());
-            stage.medium = match (number(2), number(3)) {
-                (Some(n_d), Some(v_d)) if (1.0..=5.0).contains(&n_d) => Stated::Lines { n_d, v_d },
-                _ => self.medium(name),
-            };
-        }
+        stage.medium = self.medium_behind(line)?;
         self.draft.surfaces.push(stage);
         Ok(())
+    }
+
+    /// The medium behind curvature and distance on the line of a surface or of the object.
+    pub(super) fn medium_behind(&self, line: &Line) -> Result<Stated> {
+        let Some(name) = line.words.get(2) else { return Ok(Stated::Air) };
+        if name.eq_ignore_ascii_case("REFL") || line.words.get(3).is_some_and(|w| w.eq_ignore_ascii_case("REFL")) {
+            return Err(line.refused("a mirror (REFL)", "refracting surfaces"));
+        }
+        // Index and Abbe number in the glass's place.
+        let number = |i: usize| line.words.get(i).and_then(|w| w.parse::<f64>().ok());
+        Ok(match (number(2), number(3)) {
+            (Some(n_d), Some(v_d)) if (1.0..=5.0).contains(&n_d) => Stated::Lines { n_d, v_d },
+            _ => self.medium(name),
+        })
     }
 
     fn medium(&self, name: &str) -> Stated {

@@ -291,12 +291,11 @@ pub(super) fn put(draft: &mut Draft, mut surfaces: Vec<Raw>, order: &Order, scal
         }
     }
     draft.object_mm = object.thickness * scale;
-    if let Some((stated, _)) = &object.glass {
-        if draft.object_mm.is_finite() {
-            let found = format!("an object within glass, {} mm before the first surface", draft.object_mm);
-            return Err(object.refused(file, found, "an object in air, or one within glass at infinity"));
-        }
+    if let Some((stated, told)) = &object.glass {
         draft.object_medium = stated.clone();
+        if !told.is_empty() {
+            draft.notes.push(format!("{}: {told}", object.place));
+        }
     }
     let mut solved = Vec::new();
     for (i, s) in middle.iter().enumerate() {

@@ -285,7 +285,7 @@ kinds! {
         at: variant!(Aperture, Aperture::ObjectNa(na) => na),
         name: |_, _| "object_space_na".into(),
         key: "object_space_na",
-        allowed: (|x| x > 0.0 && x < 1.0, "above 0, below 1"),
+        allowed: (|x| x > 0.0 && x < 5.0, "above 0, below the object space's index"),
         free: false,
         ..PLAIN
     },
