@@ -132,7 +132,9 @@ impl<'a> Draft<'a> {
         let samples = self.seen();
         let of = |scene| self.warped(scene, (samples, self.first.bin));
         let scenes: Vec<WarpedScene<'_>> = self.scenes.iter().map(of).collect();
-        Candidates::new(&scenes.iter().collect::<Vec<_>>(), region)
+        // Most of what a point makes lies within the window of the widest share.
+        let reach = self.of_rays[0].div_ceil(self.first.bin);
+        Candidates::new(&scenes.iter().collect::<Vec<_>>(), region, reach)
     }
 
     /// Samples a pixel that see every texel of the scenes.

@@ -2,6 +2,7 @@
 //!
 //! The cell's centre, a point of the sensor, shows the object slopes that the [`SensorMap`] has there; the texture is bilinear.
 
+use glam::{DMat2, DVec2};
 use ndarray::{Array3, ArrayView3, ArrayView4, ArrayViewMut4, Axis, CowArray, Ix3, s};
 use rayon::prelude::*;
 
@@ -142,6 +143,69 @@ impl<'a> WarpedScene<'a> {
     pub fn texel(&self, offset: [f64; 2]) -> [f64; 2] {
         let [x, y] = self.map.slopes(offset.map(|v| v * self.frame.pitch_mm), self.texels_per_slope);
         [self.axis_texel[0] + x, self.axis_texel[1] + y]
+    }
+
+    /// The pixel `[row, col]` of `region` that shows the texel of the largest second differences there, and their energy; none where the texture is even.
+    #[expect(
+        clippy::cast_precision_loss,
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "raster sizes"
+    )]
+    pub(crate) fn peak(&self, region: Region) -> Option<([isize; 2], f32)> {
+        let [x0, y0] = self.frame.axis_px;
+        // In pixels from the frame's corner.
+        let shown = |at: DVec2| DVec2::from(self.texel([at.x - x0, at.y - y0]));
+        let corner = DVec2::new(region.col as f64, region.row as f64);
+        let size = DVec2::new(region.cols as f64, region.rows as f64);
+        let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+        for (i, j) in (0..5).flat_map(|i| (0..5).map(move |j| (i, j))) {
+            let at = shown(corner + size * DVec2::new(f64::from(i), f64::from(j)) / 4.0);
+            (low, high) = (low.min(at), high.max(at));
+        }
+        let (_, rows, cols) = self.texture.dim();
+        let bounds = |low: f64, high: f64, count: usize| {
+            let last = (count - 1) as f64;
+            ((low - 1.0).clamp(0.0, last) as usize)..=((high + 1.0).clamp(0.0, last) as usize)
+        };
+        let (wide, tall) = (bounds(low.x, high.x, cols), bounds(low.y, high.y, rows));
+        let planes: Vec<&[f32]> = self.channels.iter().map(|c| self.plane(*c)).collect();
+        let (first, last) = (*wide.start(), *wide.end());
+        let mut best = (0.0f32, [0, 0]);
+        let mut energies = vec![0.0f32; last + 1 - first];
+        for i in tall {
+            energies.fill(0.0);
+            for plane in &planes {
+                let row = |i: usize| &plane[i * cols..(i + 1) * cols];
+                let (above, here, below) = (row(i.saturating_sub(1)), row(i), row((i + 1).min(rows - 1)));
+                let second = |j: usize, left: usize, right: usize| {
+                    (4.0 * here[j] - above[j] - below[j] - here[left] - here[right]).powi(2)
+                };
+                for (j, e) in (first..=last).zip(&mut energies) {
+                    *e += second(j, j.saturating_sub(1), (j + 1).min(cols - 1));
+                }
+            }
+            for (j, e) in (first..=last).zip(&energies) {
+                if *e > best.0 {
+                    best = (*e, [i, j]);
+                }
+            }
+        }
+        if best.0 == 0.0 {
+            return None;
+        }
+        // Which pixel shows it: steps along the map's own growth.
+        let wanted = DVec2::new(best.1[1] as f64 + 0.5, best.1[0] as f64 + 0.5);
+        let mut at = corner + 0.5 * size;
+        for _ in 0..8 {
+            let [by_x, by_y] = [DVec2::X, DVec2::Y].map(|e| shown(at + 0.5 * e) - shown(at - 0.5 * e));
+            let step = DMat2::from_cols(by_x, by_y).inverse() * (wanted - shown(at));
+            if !step.is_finite() {
+                return None;
+            }
+            at = (at + step).clamp(corner, corner + size);
+        }
+        Some(([at.y.floor() as isize, at.x.floor() as isize], best.0))
     }
 
     /// Offset from the axis, in cells, of point `k` of the `n` along an axis of the cell at `at`.
