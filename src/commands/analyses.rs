@@ -120,7 +120,9 @@ pub(crate) fn run(kind: Kind, args: &Args, out: &mut dyn Write) -> anyhow::Resul
     // Spots need no maps and no MTF by diffraction, distortion no waves at all.
     let options = Options { whole: kind == Kind::Mtf, energy: kind == Kind::Spot, ..args.view.options()? };
     let lens = args.view.lens(&args.lens)?;
-    let waiting = crate::progress::Waiting::new(kind.name());
+    // A spot of each of five fields and every wavelength; curves take far less.
+    let rays = 5 * lens.wavelengths.nm.len() * options.rays;
+    let waiting = crate::long::waiting(kind.name(), &lens, rays);
     let (overview, missing) = look(&lens, &options);
     drop(waiting);
     let curves: Vec<(&'static str, Plot)> = plots(&overview).into_iter().filter(|(n, _)| kind.shows(n)).collect();

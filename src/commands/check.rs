@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use isoplanat::report::health::HealthReport;
-use isoplanat::trace::health::Verdict;
+use isoplanat::trace::health::{Verdict, rays};
 
 use crate::named::Named;
 use crate::output::Common;
@@ -29,7 +29,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         crate::output::check_writable(path, args.common.force)?;
     }
     let lens = args.f_number.applied(crate::input::lens(&args.lens)?, &args.lens)?;
+    // Each is traced again, in single and in double-double precision.
+    let waiting = crate::long::waiting("check", &lens, 4 * rays(&lens));
     let report = HealthReport::new(&lens);
+    drop(waiting);
     if let Some(path) = &args.csv {
         crate::output::put(&report.csv(), Some(path), args.common.force, out)?;
     }

@@ -39,6 +39,7 @@ mod inspect;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod kit;
 mod lenses;
+mod long;
 mod memory;
 #[cfg(any(test, not(all(feature = "train", feature = "deploy"))))]
 mod missing;

@@ -79,7 +79,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if args.png.is_some() {
         crate::input::in_band(&lens, &SpectralDensity::new(&Sensor::generic()), &args.lens)?;
     }
+    let waiting = crate::long::waiting("psf", &lens, RADII * request.wavelength_nm.len() * NODES);
     let kernels = atlas::KernelSet::compute(&lens, &request)?;
+    drop(waiting);
     kernels.save(Target::new(&args.output, args.common.force))?;
     if let Some(path) = &args.png {
         let columns = kernels.request.fields;
@@ -178,6 +180,10 @@ const OF_RAYS: usize = 5;
 /// The same as people read them.
 const SHOWN: [&str; 8] =
     ["depth/mm", "field/deg", "sensor radius/mm", "relative illumination", "outside/%", "Strehl", "50 %/µm", "80 %/µm"];
+
+/// Rays that kernels are made of: radii, and rays of each at a wavelength.
+const RADII: usize = 32;
+const NODES: usize = 100;
 
 /// Rows of the summary.
 fn rows(set: &atlas::KernelSet) -> Vec<Vec<f64>> {

@@ -62,7 +62,7 @@ impl Peak {
     fn of(scene: &WarpedScene<'_>, part: &Part, energy: f64, region: Region) -> Option<Self> {
         let (at, most) = scene.peak(part.whole)?;
         // Texels are compared first: pixels cost more.
-        let own = scene.peak(part.place.grown(1)).map_or(0.0, |p| p.1);
+        let own = scene.peak(part.place).map_or(0.0, |p| p.1);
         if f64::from(most) <= STANDS_OUT * f64::from(own) {
             return None;
         }

@@ -9,6 +9,7 @@ mod reach;
 use std::collections::BTreeMap;
 
 use glam::{DVec2, DVec3};
+use rayon::prelude::*;
 
 use super::aim::Aimer;
 use super::first_root::crossings;
@@ -126,17 +127,37 @@ pub fn check(lens: &Lens) -> Health {
     let mut wavelengths = vec![lens.wavelengths.primary_nm];
     wavelengths.extend(lens.wavelengths.shares().map(|(nm, _)| nm).filter(|nm| *nm != lens.wavelengths.primary_nm));
     let systems: Vec<System> = wavelengths.iter().map(|nm| System::new(lens, *nm)).collect();
+    let bundles = bundles(lens, systems.len());
+    let of = |(index, field_deg, azimuth_deg): &(usize, f64, f64)| {
+        let mut run = Run::default();
+        run.bundle(lens, &systems[*index], *index, *field_deg, *azimuth_deg);
+        run
+    };
+    let runs: Vec<Run> = bundles.par_iter().map(of).collect();
     let mut run = Run::default();
+    runs.into_iter().for_each(|other| run.add(other));
+    run.finish(lens, &systems)
+}
+
+/// Rays that [`check`] aims through `lens`.
+#[doc(hidden)]
+pub fn rays(lens: &Lens) -> usize {
+    let others = lens.wavelengths.shares().filter(|(nm, _)| *nm != lens.wavelengths.primary_nm).count();
+    bundles(lens, 1 + others).len() * pupil_points().len()
+}
+
+/// Which of so many wavelengths, field and azimuth (degrees) of every bundle of rays.
+fn bundles(lens: &Lens, wavelengths: usize) -> Vec<(usize, f64, f64)> {
     // Without rotational symmetry the field is looked at on four sides.
     let azimuths: &[f64] = if lens.is_symmetric() { &[90.0] } else { &[0.0, 90.0, 180.0, 270.0] };
-    for (index, system) in systems.iter().enumerate() {
+    let mut all = Vec::new();
+    for index in 0..wavelengths {
         for fraction in [0.0, 0.35, 0.7, 1.0] {
-            for azimuth in &azimuths[..if fraction == 0.0 { 1 } else { azimuths.len() }] {
-                run.bundle(lens, system, index, fraction * lens.max_field_deg(), *azimuth);
-            }
+            let sides = &azimuths[..if fraction == 0.0 { 1 } else { azimuths.len() }];
+            all.extend(sides.iter().map(|azimuth| (index, fraction * lens.max_field_deg(), *azimuth)));
         }
     }
-    run.finish(lens, &systems)
+    all
 }
 
 #[derive(Default)]
@@ -164,6 +185,23 @@ impl Run {
             Cause::NotConverged => self.not_converged = self.not_converged.take().or(Some(place)),
             _ => {}
         }
+    }
+
+    /// Adds what a later bundle found.
+    fn add(&mut self, other: Self) {
+        let Self { good, rays, failed, out_of_reach, axis_out_of_reach, chiefs_lost, .. } = other;
+        self.good.extend(good);
+        self.rays += rays;
+        failed.into_iter().for_each(|(cause, count)| *self.failed.entry(cause).or_default() += count);
+        self.out_of_reach += out_of_reach;
+        self.axis_out_of_reach.extend(axis_out_of_reach);
+        self.chiefs_lost.extend(chiefs_lost);
+        self.reflected = self.reflected.take().or(other.reflected);
+        self.not_converged = self.not_converged.take().or(other.not_converged);
+        if other.aiming.0 >= self.aiming.0 && !other.aiming.1.is_empty() {
+            self.aiming = other.aiming;
+        }
+        self.iterations = self.iterations.max(other.iterations);
     }
 
     fn bundle(&mut self, lens: &Lens, system: &System, index: usize, field_deg: f64, azimuth_deg: f64) {
@@ -218,7 +256,7 @@ impl Run {
 
     fn finish(self, lens: &Lens, systems: &[System]) -> Health {
         let surfaces: Vec<SurfaceHealth> =
-            (0..lens.surfaces.len()).map(|i| surface_health(i, &self.good, systems)).collect();
+            (0..lens.surfaces.len()).into_par_iter().map(|i| surface_health(i, &self.good, systems)).collect();
         let size = lens.length().max(lens.surfaces[lens.stop].semi_diameter);
         let (rounding, single) = self.precision(systems);
         let conditioning = conditioning::conditioning(lens, &systems[0], &self.good);
@@ -313,15 +351,19 @@ impl Run {
     /// Worst landing error of f64 against double-double, and of f32 against f64, mm.
     fn precision(&self, systems: &[System]) -> ((f64, String), (f64, String)) {
         let single: Vec<PreciseSystem<f32>> = systems.iter().map(PreciseSystem::new).collect();
-        let mut worst = [(0.0f64, String::new()), (0.0, String::new())];
-        for good in &self.good {
+        let errors = |good: &Good| {
             let landing = good.hits[good.hits.len() - 1].at.point;
             let off = |x: Option<DVec3>| x.map_or(f64::INFINITY, |p| (p - landing).truncate().length());
             let exact = off(reference(&systems[good.system], good.ray, &good.hits).map(|r| r.0));
             let rough = off(single[good.system]
                 .trace(good.ray, &good.hits)
                 .map(|l| DVec3::new(f64::from(l.x), f64::from(l.y), 0.0)));
-            for (w, v) in worst.iter_mut().zip([exact, rough]) {
+            [exact, rough]
+        };
+        let all: Vec<[f64; 2]> = self.good.par_iter().map(errors).collect();
+        let mut worst = [(0.0f64, String::new()), (0.0, String::new())];
+        for (good, errors) in self.good.iter().zip(all) {
+            for (w, v) in worst.iter_mut().zip(errors) {
                 if v >= w.0 {
                     *w = (v, good.label.clone());
                 }

@@ -88,7 +88,6 @@ mod tests {
             for p in Parameter::all(&lens) {
                 let variables = Variables::new(&lens, vec![p]);
                 let x = variables.values(&lens)[0];
-                // Not checked: an ideal lens is a plane, and its curvature has a derivative all the same.
                 let at = |h: f64| value(&unchecked(&lens, |l| variables.put(l, &[x + h])));
                 let numeric = central_difference(at, 1e-3);
                 let found = variables.gradient(&gradient)[0];

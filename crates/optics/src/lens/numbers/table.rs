@@ -11,6 +11,16 @@ macro_rules! scalar {
     };
 }
 
+/// Access to a number of a shape that is no ideal lens.
+macro_rules! bent {
+    ($field:ident) => {
+        At::Shape(
+            |s| if s.ideal.is_none() { from_ref(&s.$field) } else { &[] },
+            |s| if s.ideal.is_none() { from_mut(&mut s.$field) } else { &mut [] },
+        )
+    };
+}
+
 /// Access to what one variant of an enum holds.
 macro_rules! variant {
     ($holder:ident, $pattern:pat => $x:ident) => {
@@ -76,9 +86,9 @@ const PLAIN: Line = Line {
 };
 
 kinds! {
-    /// Vertex curvature of a surface.
+    /// Vertex curvature of a surface; an ideal lens has none.
     Curvature => Line {
-        at: scalar!(Shape.curvature),
+        at: bent!(curvature),
         name: |_, _| "curvature".into(),
         key: "curvature_per_mm",
         // A hyperboloid of any vertex curvature reaches all clear semi-diameters; powers of this one are numbers.
@@ -86,9 +96,9 @@ kinds! {
         scale: |lens, p| 2.0 / radius(lens, p).powi(2),
         ..PLAIN
     },
-    /// Conic constant of a surface.
+    /// Conic constant of a surface; an ideal lens has none.
     Conic => Line {
-        at: scalar!(Shape.conic),
+        at: bent!(conic),
         name: |_, _| "conic".into(),
         key: "conic",
         allowed: (|x| x.abs() <= 1e9, "-1e9 to 1e9"),

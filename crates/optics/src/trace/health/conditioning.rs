@@ -1,12 +1,18 @@
 //! What each variable does to the landings, and how well the adjoint says so.
 
 use nalgebra::DMatrix;
+use rayon::prelude::*;
 
 use super::Good;
 use crate::lens::{Lens, Medium};
 use crate::trace::System;
 use crate::trace::landing::{self, Column};
 use crate::trace::precise::{Number, derivative};
+
+/// Rays of which one is compared with double-double.
+const EVERY: usize = 7;
+/// Surfaces times derivatives that are compared at most, but for those of one ray.
+const COMPARED: usize = 4_000_000;
 
 /// One variable of the lens.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
@@ -37,7 +43,8 @@ pub(super) fn conditioning(lens: &Lens, system: &System, good: &[Good]) -> Condi
     let columns: Vec<Column> = landing::columns(lens).into_iter().filter(|c| !of_air(c)).collect();
     // Rays of the first system, the primary wavelength.
     let rays: Vec<&Good> = good.iter().filter(|g| g.system == 0).collect();
-    let rows: Vec<Vec<[f64; 2]>> = rays.iter().map(|g| landing::gradient(lens, system, &g.hits, &columns)).collect();
+    let rows: Vec<Vec<[f64; 2]>> =
+        rays.par_iter().map(|g| landing::gradient(lens, system, &g.hits, &columns)).collect();
     let mut errors: Vec<Option<f64>> = vec![None; columns.len()];
     let mut worst = (if rays.is_empty() { f64::INFINITY } else { 0.0 }, String::new());
     // Effects in mm for one scaled unit, and their sizes over all rays.
@@ -50,11 +57,13 @@ pub(super) fn conditioning(lens: &Lens, system: &System, good: &[Good]) -> Condi
         })
         .collect();
     let strongest = effect.iter().copied().fold(0.0, f64::max);
-    // Every seventh ray is compared with differences in double-double.
-    for (ray, row) in rays.iter().zip(&rows).step_by(7) {
-        for (j, column) in columns.iter().enumerate() {
-            let step = 1e-10 * column.scale;
-            let Some(exact) = derivative(lens, system, ray.ray, &ray.hits, column.number, step) else { continue };
+    // Every seventh ray is compared with differences in double-double; fewer of lenses with thousands of numbers.
+    let most = (COMPARED / (columns.len() * lens.surfaces.len()).max(1)).max(1);
+    for (ray, row) in rays.iter().zip(&rows).step_by(EVERY.max(rays.len().div_ceil(most))) {
+        let of = |c: &Column| derivative(lens, system, ray.ray, &ray.hits, c.number, 1e-10 * c.scale);
+        let exact: Vec<Option<[f64; 2]>> = columns.par_iter().map(of).collect();
+        for (j, (column, exact)) in columns.iter().zip(exact).enumerate() {
+            let Some(exact) = exact else { continue };
             let length = exact[0].hypot(exact[1]);
             // A derivative far below the variable's own mean effect is compared with that, and one far below what the
             // strongest variable does (zero but for rounding, as at surfaces between equal media) with a millionth of it.
