@@ -29,8 +29,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         crate::output::check_writable(path, args.common.force)?;
     }
     let lens = args.f_number.applied(crate::input::lens(&args.lens)?, &args.lens)?;
-    // Each is traced again, in single and in double-double precision.
-    let waiting = crate::long::waiting("check", &lens, 4 * rays(&lens));
+    // Each is traced again, in single and in double-double precision, which takes some ten times as long.
+    let waiting = crate::long::waiting("check", &lens, 12 * rays(&lens));
     let report = HealthReport::new(&lens);
     drop(waiting);
     if let Some(path) = &args.csv {

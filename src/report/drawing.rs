@@ -41,8 +41,10 @@ pub fn lens_svg(lens: &Lens) -> String {
 pub(crate) fn lens_svg_within(lens: &Lens, size: [f64; 2]) -> String {
     let length = lens.length();
     let vertices = vertices(lens);
-    let lead =
-        (LEAD * length).min(if lens.object_vergence > 0.0 { lens.object_vergence.recip() } else { f64::INFINITY });
+    // As far as a concave first surface reaches, and no farther than the object.
+    let reach = -sag(lens, 0, lens.surfaces[0].semi_diameter);
+    let object = if lens.object_vergence > 0.0 { lens.object_vergence.recip() } else { f64::INFINITY };
+    let lead = (LEAD * length).max(1.1 * reach).min(object);
     let angles = FIELDS.map(|share| share * field_deg(lens));
     let fans: Vec<Vec<Path>> = angles.iter().map(|angle| fan(lens, *angle, lead, &vertices)).collect();
     let (low, high) = extent(lens, &fans);
@@ -62,14 +64,15 @@ pub(crate) fn lens_svg_within(lens: &Lens, size: [f64; 2]) -> String {
         "stroke=\"currentColor\" stroke-opacity=\".35\" stroke-dasharray=\"9 3 2 3\"",
     );
     let index = lens.indices(lens.wavelengths.primary_nm);
-    for i in 0..lens.surfaces.len().saturating_sub(1) {
-        if index[i + 1] > 1.0 + 1e-9 {
-            // Denser glass, darker fill.
-            let fill = (0.10 + 0.35 * (index[i + 1] - 1.45)).clamp(0.10, 0.30);
-            let style =
-                format!("fill=\"#4a90d9\" fill-opacity=\"{fill:.2}\" stroke=\"currentColor\" stroke-width=\"1.3\"");
-            svg.polygon(&place(&element(lens, i, &vertices)), &style);
-        }
+    for (space, n) in index.iter().take(lens.surfaces.len()).enumerate().filter(|(_, n)| **n > 1.0 + 1e-9) {
+        // Denser glass, darker fill.
+        let fill = (0.10 + 0.35 * (n - 1.45)).clamp(0.10, 0.30);
+        let style = format!("fill=\"#4a90d9\" fill-opacity=\"{fill:.2}\" stroke=\"currentColor\" stroke-width=\"1.3\"");
+        let outline = match space.checked_sub(1) {
+            Some(i) => element(lens, i, &vertices),
+            None => before_first(lens, -lead),
+        };
+        svg.polygon(&place(&outline), &style);
     }
     for (fan, hue) in fans.iter().zip(HUES) {
         for path in fan {
@@ -160,21 +163,29 @@ fn sag(lens: &Lens, i: usize, r: f64) -> f64 {
     shape.sag(r * r).map_or(0.0, |s| s.h)
 }
 
+/// Surface `i` from edge to edge, flat from its clear semi-diameter to `rim`; its vertex at `vertex`.
+fn profile(lens: &Lens, i: usize, vertex: f64, rim: f64) -> Vec<[f64; 2]> {
+    const STEPS: i32 = 48;
+    let radius = lens.surfaces[i].semi_diameter;
+    let curve = (-STEPS..=STEPS).map(|k| {
+        let y = radius * f64::from(k) / f64::from(STEPS);
+        [vertex + sag(lens, i, y.abs()), y]
+    });
+    let edge = vertex + sag(lens, i, radius);
+    std::iter::once([edge, -rim]).chain(curve).chain(std::iter::once([edge, rim])).collect()
+}
+
 /// Outline of the glass behind surface `i`: both surfaces to their clear semi-diameters, flat rims to the larger.
 fn element(lens: &Lens, i: usize, vertices: &[f64]) -> Vec<[f64; 2]> {
-    const STEPS: i32 = 48;
     let rim = lens.surfaces[i].semi_diameter.max(lens.surfaces[i + 1].semi_diameter);
-    let side = |j: usize| -> Vec<[f64; 2]> {
-        let radius = lens.surfaces[j].semi_diameter;
-        let curve = (-STEPS..=STEPS).map(|k| {
-            let y = radius * f64::from(k) / f64::from(STEPS);
-            [vertices[j] + sag(lens, j, y.abs()), y]
-        });
-        let edge = vertices[j] + sag(lens, j, radius);
-        std::iter::once([edge, -rim]).chain(curve).chain(std::iter::once([edge, rim])).collect()
-    };
-    let (front, back) = (side(i), side(i + 1));
+    let (front, back) = (profile(lens, i, vertices[i], rim), profile(lens, i + 1, vertices[i + 1], rim));
     front.into_iter().chain(back.into_iter().rev()).collect()
+}
+
+/// Outline of the object's medium, from `z` on.
+fn before_first(lens: &Lens, z: f64) -> Vec<[f64; 2]> {
+    let rim = lens.surfaces[0].semi_diameter;
+    [[z, rim], [z, -rim]].into_iter().chain(profile(lens, 0, 0.0, rim)).collect()
 }
 
 /// Where the bars of the stop end.
@@ -228,7 +239,7 @@ fn fan(lens: &Lens, angle: f64, lead: f64, vertices: &[f64]) -> Vec<Path> {
         let Ok(Aimed { ray, .. }) = aimer.aim(point, target, None) else { continue };
         let reached = trace(&system, ray, system.image(), &mut hits).is_ok();
         let stopped = first_vignetted(&system, &hits);
-        let start = ray.origin - ray.direction * (lead / ray.direction.z);
+        let start = ray.origin - ray.direction * ((ray.origin.z + lead) / ray.direction.z);
         let mut points = vec![[start.z, start.y]];
         let seen = stopped.map_or(hits.len(), |f| f.surface + 1);
         let z = |i: usize| vertices.get(i).copied().unwrap_or_else(|| lens.length());

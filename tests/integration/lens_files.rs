@@ -220,6 +220,42 @@ fn planes_reached_by_negative_distances_are_put_in_order() {
     assert!(error.contains("SURF 1") && error.contains("negative distance"), "{error}");
 }
 
+/// The medium before the first surface, of each form that states one: light of an object at infinity in it has another focal length, which the first face's power says.
+#[test]
+fn objects_in_glass_are_read_from_every_form() {
+    let glasses = Glasses::shipped();
+    let object = |n: &str| format!(r#"{{"type": "IdealMaterial", "index": {n}, "absorp": 0.0}}"#);
+    let text = shared("data/lenses/optiland_Cooke_triplet.json").map(|p| std::fs::read_to_string(p).expect("reads"));
+    let Some(text) = text else { return };
+    assert!(text.find(&object("1.0")).is_some_and(|at| at < 500), "the object comes first");
+    let optiland = |n: &str| parse(&text.replacen(&object("1.0"), &object(n), 1), Form::Json, "a.json", glasses);
+    let seq = |medium: &str| {
+        let text = format!(
+            "RDM;LEN\nEPD 4\nDIM M\nWL 587.5618\nYAN 0\nSO 0 1e13{medium}\nS 50 3 NBK7_SCHOTT\n STO\nS -50 95\nSI 0 0\nGO\n"
+        );
+        parse(&text, Form::Seq, "a.seq", glasses)
+    };
+    let [n_glass, radius] = [1.516_800_034_505_588_5, 50.0];
+    let n = seq("").expect("reads").lens.indices(587.5618)[1];
+    assert_abs(n, n_glass, 1e-9, "N-BK7");
+    for (what, read) in [("Optiland", optiland("1.333")), ("PRV", seq(" 1.333 55"))] {
+        let lens = read.unwrap_or_else(|e| panic!("{what}: {e}")).lens;
+        assert_abs(lens.indices(lens.wavelengths.primary_nm)[0], 1.333, 1e-6, what);
+    }
+    let efl = |medium: &str| {
+        let lens = seq(medium).expect("reads").lens;
+        paraxial::first_order(&lens, 587.5618).effective_focal_length
+    };
+    // Thick lens in closed form; in its own glass the rear face is alone.
+    let power = |n0: f64| {
+        let (a, b) = ((n - n0) / radius, (1.0 - n) / -radius);
+        a + b - a * b * 3.0 / n
+    };
+    assert_rel(efl(""), 1.0 / power(1.0), 1e-12, 0.0, "in air");
+    assert_rel(efl(" NBK7_SCHOTT"), radius / (n - 1.0), 1e-12, 0.0, "in glass");
+    assert!(optiland("1.0").expect("reads").notes.iter().all(|n| !n.contains("lies within")));
+}
+
 #[test]
 fn what_is_not_supported_is_refused_by_name_and_line() {
     for (from, to, expected) in [
