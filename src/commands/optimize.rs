@@ -185,7 +185,13 @@ fn doubts(problem: &Problem, o: &Outcome) -> Vec<String> {
     let mut all = Vec::new();
     let said = |held: &Valued<Constraint>| {
         let quantity = held.of.quantity;
-        let value = [significant(held.value, 5), quantity.unit().to_owned()].join(" ");
+        // With as many digits as tell the value from its bounds.
+        let beside = |digits: &usize| {
+            let value = significant(held.value, *digits);
+            held.of.bounds.iter().all(|b| significant(*b, *digits) != value)
+        };
+        let digits = (5..=12).find(beside).unwrap_or(12);
+        let value = [significant(held.value, digits), quantity.unit().to_owned()].join(" ");
         format!("{} is {} (allowed: {})", quantity.name(), value.trim_end(), allowed(held.of.bounds))
     };
     let broken: Vec<String> = o.broken().take(MOST_BROKEN).map(said).collect();

@@ -14,6 +14,8 @@ pub(super) struct Draft {
     pub(super) object_mm: f64,
     /// Medium between the object and the first surface.
     pub(super) object_medium: Stated,
+    /// Where that stands in the file.
+    pub(super) object_at: Location,
     /// How far behind the last distance's end the image plane lies, mm: not positive. Below 0 the image is virtual.
     pub(super) image_back_mm: f64,
     /// How large the stop is.
@@ -131,6 +133,7 @@ impl Draft {
             kind,
             object_mm: f64::INFINITY,
             object_medium: Stated::Air,
+            object_at: Location::called("the object"),
             image_back_mm: 0.0,
             aperture: None,
             field: FieldKind::Angle,

@@ -158,10 +158,10 @@ fn the_stop(stages: &mut [Stage], notes: &mut Vec<String>, file: &str) -> Result
 
 /// The medium that the object lies in.
 fn object_medium(draft: &mut Draft, file: &str, glasses: &Glasses) -> Result<Medium> {
-    let place = || Location::called("the object");
-    let (medium, told) =
-        (draft.object_medium.resolve_told(glasses, &draft.catalogues)).map_err(|e| e.within(place()).in_file(file))?;
-    draft.notes.extend(told.map(|told| format!("{}: {told}", place())));
+    let place = draft.object_at.clone();
+    let found = draft.object_medium.resolve_told(glasses, &draft.catalogues);
+    let (medium, told) = found.map_err(|e| e.within(&place).in_file(file))?;
+    draft.notes.extend(told.map(|told| format!("{place}: {told}")));
     if medium != Medium::Air {
         draft.notes.push(format!("the object lies within {medium}: field angles are those in it"));
     }

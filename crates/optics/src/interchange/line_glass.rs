@@ -115,13 +115,21 @@ impl OfLine {
                 "its n_d is {index:.6}; the line's {n_d} is taken as left from another glass (--glass-for {name}={MODEL} takes it)"
             ));
         }
+        let [d, f, c] = LINES_NM.map(|nm| medium.index(nm));
+        let abbe = (d - 1.0) / (f - c);
+        let stated = self.lines.filter(|(n, v)| *v > 0.0 && (n - d).abs() <= SAME_INDEX);
+        if let Some((_, v_d)) = stated.filter(|(_, v)| (abbe / v - 1.0).abs() > SAME_ABBE) {
+            told.push(format!("its V_d is {abbe:.2}, the line's {v_d} is not used"));
+        }
         (!told.is_empty()).then(|| format!("glass {name}: {}", told.join("; ")))
     }
 
     /// The error of an unknown glass, which the line's numbers may stand in for.
     fn or_model(&self, error: Error) -> Error {
-        let Some((n_d, v_d)) = self.lines.filter(|_| self.offered) else { return error };
         let name = &self.name;
+        let Some((n_d, v_d)) = self.lines.filter(|_| self.offered) else {
+            return error.or_else_allowed(&format!("--glass-for {name}=GLASS for another in its place"));
+        };
         error.or_else_allowed(&format!("--glass-for {name}={MODEL} for the n_d {n_d} and V_d {v_d} of its line"))
     }
 }

@@ -40,6 +40,7 @@ fn object_at_a_plane(draft: &mut Draft) {
         let plane = draft.surfaces.remove(0);
         draft.object_mm = plane.thickness;
         draft.object_medium = plane.medium;
+        draft.object_at = plane.place.clone();
         draft.notes.push(format!(
             "{}: a plane that the object stands on: distances count from it, and it is left out",
             plane.place

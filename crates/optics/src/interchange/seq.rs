@@ -166,6 +166,7 @@ impl Reader<'_> {
                 }
                 self.object = Some(object(surface::length(line, 1)? * unit));
                 self.draft.object_medium = self.medium_behind(line)?;
+                self.draft.object_at = line.place.clone();
             }
             "S" => self.surface(line)?,
             "SI" => {

@@ -10,9 +10,9 @@ use crate::interchange::text::{Line, shown};
 use isoplanat_base::error::{Error, Location, Result};
 
 /// Keywords of a surface that no ray depends on.
-const HARMLESS: [&str; 26] = [
+const HARMLESS: [&str; 25] = [
     "SSID", "FIMP", "HIDE", "MIRR", "SLAB", "MEMA", "POPS", "TRCX", "TRCY", "COAT", "COMM", "VDSZ", "SCOL", "SDRW",
-    "CCOL", "DRAW", "RSCE", "SCAT", "OPDX", "PPAR", "TCEX", "PUPD", "LOCA", "IGNR", "VPAR", "TCED",
+    "CCOL", "DRAW", "RSCE", "SCAT", "OPDX", "PPAR", "TCEX", "PUPD", "LOCA", "VPAR", "TCED",
 ];
 /// Keywords by which a thickness follows from something else; its value stands in DISZ.
 const SOLVES: [&str; 12] =
@@ -100,6 +100,10 @@ impl Raw {
             }
             "DISZ" => self.thickness = distance(line)?,
             "GLAS" => self.medium(line)?,
+            "IGNR" if line.optional(0)?.is_some_and(|on| on != 0.0) => {
+                return Err(line.refused("a surface that is to be ignored", "IGNR 0, or a file without that surface"));
+            }
+            "IGNR" => {}
             "SCBD" => self.tilted |= (3..line.words.len()).any(|i| line.optional(i).ok().flatten() != Some(0.0)),
             _ if self.apertures.read(keyword, line)? => {}
             // The paraxial marginal ray at height 0: the image of a point on the axis.
@@ -293,6 +297,7 @@ pub(super) fn put(draft: &mut Draft, mut surfaces: Vec<Raw>, order: &Order, scal
     draft.object_mm = object.thickness * scale;
     if let Some((stated, told)) = &object.glass {
         draft.object_medium = stated.clone();
+        draft.object_at = object.place.clone();
         if !told.is_empty() {
             draft.notes.push(format!("{}: {told}", object.place));
         }
