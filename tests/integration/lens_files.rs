@@ -220,6 +220,28 @@ fn planes_reached_by_negative_distances_are_put_in_order() {
     assert!(error.contains("SURF 1") && error.contains("negative distance"), "{error}");
 }
 
+/// A surface that is to be ignored does something to rays all the same; a glass is its name's, and an Abbe number that is not its own is told.
+#[test]
+fn what_a_line_says_beside_its_glass_is_looked_at() {
+    let file = |glass: &str, more: &str| {
+        let text = format!(
+            "MODE SEQ\nUNIT MM\nENPD 4\nWAVM 1 0.5875618 1\nPWAV 1\nFTYP 0 0 1 1\nXFLN 0\nYFLN 0\nSURF 0\n  TYPE STANDARD\n  CURV 0\n  DISZ INFINITY\n\
+             SURF 1\n  STOP\n  TYPE STANDARD\n  CURV 0.02\n{more}  DISZ 3\n  GLAS {glass}\n  DIAM 5\nSURF 2\n  TYPE STANDARD\n  CURV -0.02\n  DISZ 47\n  DIAM 5\n\
+             SURF 3\n  TYPE STANDARD\n  CURV 0\n  DISZ 0\n"
+        );
+        parse(&text, Form::Zmx, "a.zmx", Glasses::shipped())
+    };
+    let plain = file("N-BK7 0 0 1.5168 64.17 0 0", "").expect("reads");
+    let other = file("N-BK7 0 0 1.5168 50 0 0", "").expect("reads");
+    assert!(plain.lens == other.lens && plain.notes.iter().all(|n| !n.contains("V_d")), "{:?}", plain.notes);
+    assert!(other.notes.iter().any(|n| n.contains("its V_d is 64.17, the line's 50 is not used")), "{:?}", other.notes);
+    assert_eq!(file("N-BK7 0 0", "  IGNR 0\n").expect("reads").lens, plain.lens);
+    let error = file("N-BK7 0 0", "  IGNR 1\n").expect_err("ignored").to_string();
+    assert!(error.contains("to be ignored") && error.contains("(SURF 1)"), "{error}");
+    let error = file("XK99 1 0 1.5 40 0 0", "").expect_err("unknown").to_string();
+    assert!(error.contains("--glass-for XK99=GLASS"), "{error}");
+}
+
 /// The medium before the first surface, of each form that states one: light of an object at infinity in it has another focal length, which the first face's power says.
 #[test]
 fn objects_in_glass_are_read_from_every_form() {

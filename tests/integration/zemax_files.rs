@@ -82,15 +82,6 @@ fn keywords_without_effect_and_unknown_ones_are_told() {
     let strict = Reading { strict: true, ..Reading::default() };
     let error = parse_as(&text, Form::Zmx, "a.zmx", Glasses::shipped(), strict).expect_err("strict").to_string();
     assert!(error.contains("line 10: the keyword `HURZ`") && error.contains("--strict"), "{error}");
-    // A surface that is to be ignored does something to rays all the same.
-    let ignored = |on: u8| text.replace("  CONI -0.5", &format!("  IGNR {on}\n  CONI -0.5"));
-    assert_eq!(efl(&read(&ignored(0)).lens), efl(&imported.lens));
-    assert!(refused(&ignored(1)).contains("to be ignored"));
-    // A glass is its name's; an Abbe number that is not its own is told.
-    told(
-        &read(&text.replace("N-BK7 0 0", "N-BK7 0 0 1.5168 50 0 0 0 0 0 0")),
-        "its V_d is 64.17, the line's 50 is not used",
-    );
     // Within a surface it may be its shape.
     let within = refused(&text.replace("  CONI -0.5", "  HURZ 1\n  CONI -0.5"));
     assert!(within.contains("(SURF 1): the keyword `HURZ`"), "{within}");
