@@ -93,10 +93,9 @@ fn thin_lines_keep_their_light() {
 /// was asked is held, and what is told is not better than what came.
 #[test]
 fn nearly_empty_frames_hold_what_they_promise() {
-    let (rows, columns) = (900, 1200);
     let lens = builtin::lens("cooke_triplet").expect("shipped");
-    let frame = Frame::centred(columns, rows, frame_of(&lens).expect("valid").pitch_mm).expect("valid");
-    let stars = [(101, 203), (440, 1003), (833, 571)];
+    let pitch_mm = frame_of(&lens).expect("valid").pitch_mm;
+    let stars = [(101, 203), (440, 1003), (833, 571), (1311, 1999)];
     let at = |k: usize, i: usize, j: usize| -> f32 {
         match k {
             0 if stars.contains(&(i, j)) => 100.0,
@@ -106,7 +105,13 @@ fn nearly_empty_frames_hold_what_they_promise() {
             _ => 0.0,
         }
     };
-    for (k, what) in ["stars", "a patch on grey", "a texel in the corner"].into_iter().enumerate() {
+    // Stars in a frame so large that none of the places sees one.
+    for (k, (what, [rows, columns])) in
+        [("stars", [1600, 2400]), ("a patch on grey", [900, 1200]), ("a texel in the corner", [900, 1200])]
+            .into_iter()
+            .enumerate()
+    {
+        let frame = Frame::centred(columns, rows, pitch_mm).expect("valid");
         let texture = Array3::from_shape_fn((1, rows, columns), |(_, i, j)| at(k, i, j));
         let placement = Placement::centred([rows, columns], &frame, Scale::There(1.0));
         let scene = placement.before(&lens, &frame, texture).expect("light");
