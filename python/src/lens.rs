@@ -161,6 +161,12 @@ impl Lens {
         self.inner.object_medium.to_string()
     }
 
+    /// Radius of the image surface, mm: positive where its centre lies behind it, infinite for a plane.
+    #[getter]
+    fn image_radius(&self) -> f64 {
+        self.inner.image.curvature.recip()
+    }
+
     /// The raster that its file states.
     #[getter]
     fn frame(&self) -> PyResult<Frame> {

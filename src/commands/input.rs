@@ -11,7 +11,7 @@ use isoplanat::design::subject::Subject;
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::illuminant::Illuminant;
 use isoplanat::imaging::sensor::spectrum::{SEEN, SpectralDensity};
-use isoplanat::interchange::{self, Imported};
+use isoplanat::interchange::{self, Imported, Reading};
 use isoplanat::lens::paraxial::{field_origin, first_order};
 use isoplanat::lens::{Aperture, Lens};
 use isoplanat::report::table::significant;
@@ -31,13 +31,27 @@ pub(crate) fn lens(name_or_path: &(impl AsRef<Path> + ?Sized)) -> Result<Lens> {
     Ok(lens)
 }
 
+/// [`lens`], as the start of an optimisation to this focal length: what an f-number of a lens without power is taken with.
+///
+/// # Errors
+/// As [`lens`].
+pub(crate) fn start(name_or_path: &(impl AsRef<Path> + ?Sized), focal_length_mm: Option<f64>) -> Result<Lens> {
+    let lens = read_in(name_or_path, Reading { focal_length_mm, ..glasses::reading() })?;
+    glasses::all_taken()?;
+    Ok(lens)
+}
+
 /// [`lens`], where others may name the glasses of `--glass-for`: whoever read all of them asks [`glasses::all_taken`].
 ///
 /// # Errors
 /// A file that cannot be read or is no lens, surfaces that overlap where light goes; where neither a file nor a shipped lens has that name, both are said.
 pub(crate) fn one_of_lenses(name_or_path: &(impl AsRef<Path> + ?Sized)) -> Result<Lens> {
+    read_in(name_or_path, glasses::reading())
+}
+
+fn read_in(name_or_path: &(impl AsRef<Path> + ?Sized), reading: Reading) -> Result<Lens> {
     let path = name_or_path.as_ref();
-    let Imported { lens, notes } = interchange::lens_or_file(path, glasses::all(), glasses::reading())?;
+    let Imported { lens, notes } = interchange::lens_or_file(path, glasses::all(), reading)?;
     let toml = path.extension().is_none_or(|e| e == "toml");
     for note in notes {
         // What another program's file leaves open is no fault of it.

@@ -299,7 +299,7 @@ fn run() -> ExitCode {
         Err(code) => return ExitCode::from(code),
     };
     let Cli { command, memory_gib, glass, glass_for, strict, configuration } = cli;
-    glasses::set_reading(Reading { strict, configuration });
+    glasses::set_reading(Reading { strict, configuration, ..Reading::default() });
     isoplanat::atomic::tell_by(|note| tell!("note: {note}"));
     let mut out = BufWriter::new(Printable::new(std::io::stdout().lock()));
     let mut idle = Vec::new();

@@ -117,10 +117,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         return Err(Error::bad("--search", "value", starts.to_string(), format!("1 to {MOST_STARTS}")).into());
     }
     let until = Duration::try_from_secs_f64(60.0 * minutes).ok().and_then(|d| Instant::now().checked_add(d));
-    let lens = crate::input::lens(&args.lens)?;
+    let (spec, file) = spec(args)?;
+    let lens = crate::input::start(&args.lens, spec.focal_length_mm())?;
     // What the form cannot say is told before the work.
     text_of(&lens, form, crate::glasses::all())?;
-    let (spec, file) = spec(args)?;
     let problem = spec.problem(&lens, &file)?;
     spec.notes(&lens, &file)?.iter().for_each(|note| crate::tell!("note: {file}: {note}"));
     let limits = Limits { iterations: args.iterations, until, ..Limits::default() };

@@ -48,7 +48,8 @@ pub(crate) fn lens_svg_within(lens: &Lens, size: [f64; 2]) -> String {
     let angles = FIELDS.map(|share| share * field_deg(lens));
     let fans: Vec<Vec<Path>> = angles.iter().map(|angle| fan(lens, *angle, lead, &vertices)).collect();
     let (low, high) = extent(lens, &fans);
-    let (z_low, z_high) = (-lead, length.max(1e-9) * 1.01);
+    let deepest = sensor(lens, sensor_span(lens)).iter().map(|p| p[0]).fold(length, f64::max);
+    let (z_low, z_high) = (-lead, deepest.max(1e-9) * 1.01);
     let scale = ((size[0] - 2.0 * MARGIN) / (z_high - z_low)).min((size[1] - 2.0 * MARGIN - FOOT) / (high - low));
     let foot = Foot::new(angles, scale);
     let drawn = (z_high - z_low) * scale;
@@ -94,9 +95,8 @@ pub(crate) fn lens_svg_within(lens: &Lens, size: [f64; 2]) -> String {
         );
     }
     let [bottom, top] = sensor_span(lens);
-    svg.line(
-        at([length, bottom]),
-        at([length, top]),
+    svg.polyline(
+        &place(&sensor(lens, [bottom, top])),
         "stroke=\"currentColor\" stroke-width=\"3\" stroke-linecap=\"butt\"",
     );
     foot.draw(&mut svg, height - MARGIN);
@@ -203,6 +203,15 @@ fn sensor_span(lens: &Lens) -> [f64; 2] {
     #[expect(clippy::cast_precision_loss, reason = "at most 65,536")]
     let one_sided = s.axis_px.iter().zip([s.columns as f64, s.rows as f64]).all(|(a, size)| *a <= 0.0 || *a >= size);
     [if one_sided { 0.0 } else { -radius }, radius]
+}
+
+/// The sensor from its lowest to its highest point, at its sag.
+fn sensor(lens: &Lens, [bottom, top]: [f64; 2]) -> Vec<[f64; 2]> {
+    const STEPS: i32 = 48;
+    let (shape, length) = (lens.image.shape(), lens.length());
+    let at = |y: f64| [length + shape.sag(y * y).map_or(0.0, |s| s.h), y];
+    let steps = if lens.image.is_plane() { 1 } else { STEPS };
+    (0..=steps).map(|k| at(bottom + (top - bottom) * f64::from(k) / f64::from(steps))).collect()
 }
 
 /// Lowest and highest `y` of everything drawn, with the same room on both sides for glass and stop.

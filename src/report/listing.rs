@@ -25,6 +25,13 @@ pub struct Listing<'a> {
 /// Focal length, in the lens's own size, that only rounding leaves.
 const POWERLESS: f64 = 1e10;
 
+/// A curved image surface as JSON has it.
+#[derive(Serialize)]
+struct Image {
+    radius_mm: f64,
+    conic: f64,
+}
+
 /// A surface as JSON has it.
 #[derive(Serialize)]
 struct Row {
@@ -172,6 +179,7 @@ impl<'a> Listing<'a> {
             "stop_surface": lens.stop,
             "object_medium": lens.object_medium.to_string(),
             "sensor": lens.sensor,
+            "image": self.image(),
             "surfaces": self.rows(),
             "seidel_mm": seidel::total(&self.seidel),
         });
@@ -179,6 +187,12 @@ impl<'a> Listing<'a> {
             object[key] = value.into();
         }
         object
+    }
+
+    /// Form of the image surface; nothing where it is a plane.
+    fn image(&self) -> Option<Image> {
+        let image = self.lens.image;
+        (!image.is_plane()).then(|| Image { radius_mm: image.curvature.recip(), conic: image.conic })
     }
 
     /// Surfaces, counted from 0.
@@ -290,6 +304,10 @@ impl fmt::Display for Listing<'_> {
             writeln!(f, "the object lies in {}, index {index}", lens.object_medium)?;
         }
         writeln!(f, "aperture: {aperture}; sensor {} × {} pixels of {} µm\n", s.columns, s.rows, s.pitch_um)?;
+        if !lens.image.is_plane() {
+            let [radius, conic] = [lens.image.curvature.recip(), lens.image.conic].map(|x| significant(x, 7));
+            writeln!(f, "the sensor is curved: radius {radius} mm, conic constant {conic}; its pixels are counted by x and y\n")?;
+        }
         writeln!(f, "{}\n{}", self.first_order_table(), self.surface_table())?;
         writeln!(f, "{}", self.media_table())?;
         let colours = listed(&lens.wavelengths.ends_nm(), 7);

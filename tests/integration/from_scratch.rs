@@ -106,3 +106,53 @@ fn what_is_taken_in_is_told() {
         assert_eq!(ran.err.contains(&format!("takes in {sensor}")), told, "{bound}: {}", ran.err);
     }
 }
+
+/// Plane plates with an f-number, and without clear semi-diameters: `optimize` takes the f-number with the focal length that is held; every other command refuses, and says so.
+#[test]
+fn plates_with_an_f_number_become_a_lens() {
+    let place = Workplace::new();
+    place.run("convert cooke_triplet own.toml").done();
+    let text = std::fs::read_to_string(place.path("own.toml")).expect("written");
+    let plane = |line: &str| {
+        let curved = line.starts_with("radius_mm") || line.starts_with("curvature_per_mm");
+        if curved { "radius_mm = inf".to_owned() } else { line.to_owned() }
+    };
+    let lines: Vec<String> = text.lines().filter(|l| !l.starts_with("semi_diameter_mm")).map(plane).collect();
+    let (head, rest) = lines.join("\n").split_once("[aperture]\n").map(|(a, b)| (a.to_owned(), b.to_owned())).expect("a table");
+    let (_, behind) = rest.split_once('\n').expect("one line");
+    place.write("plates.toml", format!("{head}[aperture]\nf_number = 4.0\n{behind}"));
+    let ran = place.run("check plates.toml");
+    assert!(ran.code == 2 && ran.err.contains("no power") && ran.err.lines().count() == 1, "{}", ran.err);
+    let ran = place.run("optimize plates.toml -o a.toml");
+    assert!(ran.code == 2 && !place.path("a.toml").exists(), "{}", ran.err);
+    let ran = place.run("optimize plates.toml -o lens.toml --constraint focal_length=50 --constraint track=..60 --search 8");
+    assert!(ran.code == 0 && ran.err.contains("an entrance pupil of 12.5 mm"), "{}", ran.err);
+    let lens = json(&place, "inspect lens.toml --json");
+    assert!((number(&lens, "effective_focal_length_mm") - 50.0).abs() < 1e-3, "{lens}");
+    assert!((number(&lens, "f_number") - 4.0).abs() < 1e-3, "{lens}");
+}
+
+/// A curved sensor, as another program's file states it: told, drawn, listed; fields are in focus on it that are not on its plane; captures by rays from it are refused.
+#[test]
+fn a_curved_sensor_is_landed_on() {
+    let place = Workplace::new();
+    place.run("convert cooke_triplet flat.zmx").done();
+    let text = std::fs::read_to_string(place.path("flat.zmx")).expect("written");
+    let (before, image) = text.rsplit_once("CURV 0").expect("the image");
+    place.write("curved.zmx", format!("{before}CURV -0.02{image}"));
+    let ran = place.run("spot curved.zmx --json");
+    assert!(ran.code == 0 && ran.err.contains("the image is curved, with a radius of -50 mm"), "{}", ran.err);
+    let listed = json(&place, "inspect curved.zmx --json");
+    assert_eq!(listed["image"]["radius_mm"].as_f64(), Some(-50.0), "{listed}");
+    assert!(json(&place, "inspect flat.zmx --json")["image"].is_null());
+    let foci = |lens: &str| -> Vec<f64> {
+        let spot = json(&place, &format!("spot {lens} --json"));
+        spot["fields"].as_array().expect("fields").iter().map(|f| number(f, "rms_mm")).collect()
+    };
+    let (flat, curved) = (foci("flat.zmx"), foci("curved.zmx"));
+    assert_eq!(flat[0], curved[0], "the axis");
+    assert!((flat.last().expect("fields") - curved.last().expect("fields")).abs() > 1e-3, "{flat:?} {curved:?}");
+    place.run("render curved.zmx dead_leaves:1 -o c.png --frame-rows 64").done();
+    let ran = place.run("capture curved.zmx dead_leaves:1 -o c.dng --samples 1");
+    assert!(ran.code == 2 && ran.err.contains("a curved sensor"), "{}", ran.err);
+}

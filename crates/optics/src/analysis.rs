@@ -5,6 +5,8 @@
 //! differentiated: gradients belong to `psf` and `optimize`.
 
 pub mod beam;
+#[cfg(test)]
+mod curved_image;
 pub mod curves;
 #[doc(hidden)]
 pub mod deviations;

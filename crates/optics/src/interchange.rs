@@ -21,6 +21,7 @@ mod order;
 mod own;
 mod seq;
 mod solve;
+mod start;
 mod text;
 mod write_seq;
 mod write_zmx;
@@ -48,12 +49,14 @@ pub struct Imported {
 }
 
 /// How a file is to be read.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Reading {
     /// Refuse keywords that the reader does not know, where they would be read over with a note.
     pub strict: bool,
     /// The configuration of a file that has several, from 1; the first one without.
     pub configuration: Option<usize>,
+    /// The focal length that a start without power is to have, mm: what its f-number is taken with.
+    pub focal_length_mm: Option<f64>,
 }
 
 impl Reading {
@@ -126,7 +129,7 @@ pub fn load_as(path: &Path, glasses: &Glasses, reading: Reading) -> Result<Impor
         reading.of_one(&file)?;
         let text = String::from_utf8(bytes)
             .map_err(|_| Error::bad(file.as_str(), "text", "bytes that are no UTF-8", "a lens file in UTF-8"))?;
-        return own::read(&text, &file, glasses);
+        return own::read(&text, &file, glasses, reading);
     }
     parse_as(&decoded(&bytes), form, &file, glasses, reading)
 }
@@ -148,13 +151,13 @@ pub fn parse_as(text: &str, form: Form, file: &str, glasses: &Glasses, reading: 
         reading.of_one(file)?;
     }
     let draft = match form {
-        Form::Toml => return own::read(text, file, glasses),
+        Form::Toml => return own::read(text, file, glasses, reading),
         Form::Zmx => zmx::read(text, file, reading)?,
         Form::Seq => seq::read(text, file, glasses, reading)?,
         Form::Json => json::read(text, file)?,
         Form::Txt => diffoptics::read(text, file)?,
     };
-    finish::finish(draft, file, glasses)
+    finish::finish(draft, file, glasses, reading)
 }
 
 /// The text of `lens` in a form, with one line on each thing that the form cannot say but that does not change rays; glasses are named as
@@ -213,7 +216,7 @@ pub fn lens_or_file(
     match path.to_str().filter(|_| bare && !path.exists()) {
         Some(name) => {
             reading.of_one(name)?;
-            own::read(builtin::text(name)?, name, glasses)
+            own::read(builtin::text(name)?, name, glasses, reading)
         }
         None => load_as(path, glasses, reading),
     }

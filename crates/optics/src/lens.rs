@@ -147,6 +147,29 @@ impl SensorRaster {
     }
 }
 
+/// Form of the image surface: a conic about the axis, whose vertex stands where the last distance ends; a plane unless it is said.
+///
+/// Places on it, and blurs, are told by their `x` and `y`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ImageSurface {
+    /// Vertex curvature, 1/mm; positive when the centre lies towards +z.
+    pub curvature: f64,
+    /// Conic constant: 0 sphere, −1 paraboloid.
+    pub conic: f64,
+}
+
+impl ImageSurface {
+    /// As the shape of a surface.
+    pub fn shape(&self) -> Shape {
+        Shape { curvature: self.curvature, conic: self.conic, ..Shape::default() }
+    }
+
+    /// Whether it is a plane.
+    pub fn is_plane(&self) -> bool {
+        self.curvature == 0.0
+    }
+}
+
 /// The numbers of a lens as somebody states them: they may not be a lens.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Prescription {
@@ -172,6 +195,8 @@ pub struct Prescription {
     pub wavelengths: Wavelengths,
     /// Pixel raster.
     pub sensor: SensorRaster,
+    /// Form of the surface that images land on, the sensor's.
+    pub image: ImageSurface,
 }
 
 impl SensorRaster {

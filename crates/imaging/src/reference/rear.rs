@@ -62,7 +62,7 @@ impl RearView {
     /// The view of `lens` from sensor points up to `radius_mm` from the axis.
     ///
     /// # Errors
-    /// No room between the rear surface and the sensor, no finite rear aperture, no light on the axis.
+    /// A curved sensor; no room between the rear surface and the sensor, no finite rear aperture, no light on the axis.
     pub fn new(lens: &Lens, density: &SpectralDensity, radius_mm: f64) -> Result<Self> {
         let mut view = Self::without_white(lens, density, radius_mm)?;
         view.axis_irradiance = if lens.is_symmetric() { view.white(1, 1) } else { view.white(AZIMUTHS, STRIDE) };
@@ -79,6 +79,10 @@ impl RearView {
     /// As [`Self::new`], but for light on the axis.
     pub(super) fn without_white(lens: &Lens, density: &SpectralDensity, radius_mm: f64) -> Result<Self> {
         density.require(lens)?;
+        if !lens.image.is_plane() {
+            let allowed = "a plane sensor for rays that start there; spot, mtf, psf and render take curved ones";
+            return Err(Error::bad(lens.file(), "image", "a curved sensor", allowed));
+        }
         let system = System::new(lens, lens.wavelengths.primary_nm).reversed();
         let rear = &system.surfaces[1];
         let upright = rear.motion.is_none() && rear.shape.is_symmetric();

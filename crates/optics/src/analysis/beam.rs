@@ -8,27 +8,28 @@ use crate::trace::pupil::PupilRay;
 use crate::trace::{Cause, Failure, ObjectPoint, System};
 use isoplanat_base::stop::look;
 
-/// Where one ray meets the image plane.
+/// Where one ray meets the image surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Landing {
     /// Point of the unit stop that it was aimed at.
     pub stop: DVec2,
-    /// Place in the image plane, mm.
+    /// Place on the image surface, mm.
     pub at: DVec2,
-    /// Slopes `dx/dz`, `dy/dz`: at `dz` mm behind the image plane the ray is at `at + dz · slope`.
+    /// Slopes `dx/dz`, `dy/dz`: with the image surface `dz` mm behind its place the ray is at `at + dz · slope`. (Of a curved one as on the plane that touches it where
+    /// the ray lands.)
     pub slope: DVec2,
     /// Light that it stands for, in units of its beam (`Aimer::flux`).
     pub weight: f64,
 }
 
 impl Landing {
-    /// Place `dz` mm behind the image plane.
+    /// Place with the image surface moved by `dz` mm.
     pub fn at_focus(&self, dz: f64) -> DVec2 {
         self.at + dz * self.slope
     }
 }
 
-/// Rays of one object point and wavelength that reach the image plane within all clear apertures.
+/// Rays of one object point and wavelength that reach the image surface within all clear apertures.
 #[derive(Clone, Debug)]
 pub struct Beam {
     /// The object.
@@ -103,10 +104,11 @@ impl Beam {
     }
 }
 
-/// The end of a ray that gets to the image plane.
+/// The end of a ray that gets to the image surface.
 fn landing(aimer: &Aimer, ray: &PupilRay, stop: DVec2) -> Option<Landing> {
     let last = ray.hits.get(aimer.system().image())?;
-    let slope = last.direction.truncate() / last.direction.z;
+    let (d, steep) = (last.direction, DVec2::from(last.at.local.slope));
+    let slope = d.truncate() / (d.z - d.truncate().dot(steep));
     let weight = aimer.flux(&ray.aimed);
     let found = Landing { stop, at: last.at.point.truncate(), slope, weight };
     (found.at.is_finite() && slope.is_finite() && weight.is_finite()).then_some(found)

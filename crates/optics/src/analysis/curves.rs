@@ -60,7 +60,12 @@ pub fn object(lens: &Lens, angle_deg: f64) -> ObjectPoint {
     ObjectPoint::in_field(lens, angle_deg.to_radians(), FRAC_PI_2)
 }
 
-/// Focus of two rays, mm behind the image plane, along `axis`.
+/// The slope against the axis of a ray whose slope by the moving image surface is `slope`, where that surface has the slopes `steep`.
+fn axial_slope(slope: DVec2, steep: DVec2) -> DVec2 {
+    slope / (1.0 + slope.dot(steep))
+}
+
+/// Focus of two rays, mm behind the image surface, along `axis`.
 fn crossing(a: &Landing, b: &Landing, axis: DVec2) -> f64 {
     -(a.at - b.at).dot(axis) / (a.slope - b.slope).dot(axis)
 }
@@ -126,7 +131,7 @@ pub fn over_field(lens: &Lens, wavelengths_nm: &[f64], angles_deg: &[f64]) -> Ve
             distortion_percent: if angle == 0.0 { 0.0 } else { against(scale, angle, height) },
             distortion_of_focal_length: against(focal, angle, height),
             lateral_colour: systems.iter().map(colour).collect(),
-            chief_angle_deg: at.slope.y.atan().to_degrees(),
+            chief_angle_deg: axial_slope(at.slope, primary.image_surface().slope(at.at)).y.atan().to_degrees(),
             open_part,
         })
     };

@@ -1,6 +1,6 @@
 //! Fans: errors of rays along one line through the stop, across the image (transverse) and in path.
 
-use glam::{DVec2, DVec3};
+use glam::DVec2;
 
 use super::beam::Beam;
 use crate::trace::aim::Aimer;
@@ -24,7 +24,7 @@ fn line(count: u32) -> Vec<f64> {
     (0..count).map(|k| 2.0 * f64::from(k) / f64::from(count.max(2) - 1) - 1.0).collect()
 }
 
-/// Landing of the chief ray, in the image plane: what fans of every wavelength are measured from.
+/// Landing of the chief ray, on the image surface: what fans of every wavelength are measured from.
 pub(crate) fn reference(system: &System, object: ObjectPoint) -> Option<DVec2> {
     Beam::new(system, object, &[]).chief.map(|l| l.at)
 }
@@ -41,7 +41,7 @@ pub(crate) fn transverse(system: &System, object: ObjectPoint, from: DVec2, coun
 
 /// Path differences, waves, from the reference sphere about `from`; positive where the wavefront is ahead ([`Wavefront`]).
 pub fn path(system: &System, object: ObjectPoint, from: DVec2, count: u32) -> Fans {
-    let about = Reference::Point(DVec3::new(from.x, from.y, 0.0));
+    let about = Reference::Point(system.image_surface().point(from));
     [DVec2::Y, DVec2::X].map(|axis| {
         let places = line(count);
         let points: Vec<DVec2> = places.iter().map(|t| *t * axis).collect();

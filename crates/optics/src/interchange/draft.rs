@@ -1,6 +1,7 @@
 //! A lens as another program's file states it, before glasses, apertures and fields are resolved.
 
 use super::media::Stated;
+use crate::lens::ImageSurface;
 use isoplanat_base::error::Location;
 
 /// Numbers of a file in mm, nm and degrees, in the order of the light.
@@ -18,6 +19,8 @@ pub(super) struct Draft {
     pub(super) object_at: Location,
     /// How far behind the last distance's end the image plane lies, mm: not positive. Below 0 the image is virtual.
     pub(super) image_back_mm: f64,
+    /// Form of the image surface.
+    pub(super) image: ImageSurface,
     /// How large the stop is.
     pub(super) aperture: Option<Size>,
     /// What field points are.
@@ -127,6 +130,18 @@ impl Stage {
 }
 
 impl Draft {
+    /// Takes a curved image surface, and tells it; `place` is where it stands.
+    pub(super) fn curve_image(&mut self, place: &Location, image: ImageSurface) {
+        self.image = image;
+        if !image.is_plane() {
+            let conic = if image.conic == 0.0 { String::new() } else { format!(" and a conic constant of {}", image.conic) };
+            self.notes.push(format!(
+                "{place}: the image is curved, with a radius of {} mm{conic}: rays land on it, and places on it are told by x and y",
+                image.curvature.recip()
+            ));
+        }
+    }
+
     pub(super) fn new(kind: &'static str) -> Self {
         Self {
             title: String::new(),
@@ -135,6 +150,7 @@ impl Draft {
             object_medium: Stated::Air,
             object_at: Location::called("the object"),
             image_back_mm: 0.0,
+            image: ImageSurface::default(),
             aperture: None,
             field: FieldKind::Angle,
             points: Vec::new(),

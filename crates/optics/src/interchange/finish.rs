@@ -4,7 +4,7 @@ use glam::DVec2;
 
 use super::draft::{Draft, FieldKind, Point, Size, Stage};
 use super::media::Stated;
-use super::{Imported, order, solve};
+use super::{Imported, Reading, order, solve, start};
 use crate::lens::catalogue::Glasses;
 use crate::lens::check::check_surface;
 use crate::lens::{
@@ -24,7 +24,7 @@ const POINT_PITCH_UM: f64 = 1.0;
 ///
 /// # Errors
 /// What is no lens, with the surface's place in the file.
-pub(super) fn finish(mut draft: Draft, file: &str, glasses: &Glasses) -> Result<Imported> {
+pub(super) fn finish(mut draft: Draft, file: &str, glasses: &Glasses, reading: Reading) -> Result<Imported> {
     solve::put(&mut draft, glasses);
     order::put(&mut draft, file)?;
     let mut stages = std::mem::take(&mut draft.surfaces);
@@ -67,6 +67,7 @@ pub(super) fn finish(mut draft: Draft, file: &str, glasses: &Glasses) -> Result<
             primary_nm: primary,
         },
         sensor: raster([FRAME[0], FRAME[1]], POINT_PITCH_UM),
+        image: draft.image,
     };
     // Each number by itself, before rays go through them.
     numbers.check_numbers(file).map_err(|e| placed(e, &stages))?;
@@ -92,6 +93,7 @@ pub(super) fn finish(mut draft: Draft, file: &str, glasses: &Glasses) -> Result<
         }
         _ => aperture(&draft, &numbers, &stages[stop], file)?,
     };
+    notes.extend(start::size_pupil(&mut numbers, reading.focal_length_mm));
     meet(&mut numbers, &stages, &marked, &mut notes);
     let beams = fields(&draft, &mut numbers, &marked, &mut notes, file)?;
     let dark = apertures::open(&mut numbers, &marked, &beams);

@@ -1,6 +1,6 @@
 //! This program's own form: what a file leaves out follows from the beam, as in other programs' files.
 
-use super::Imported;
+use super::{Imported, Reading, start};
 use crate::lens::catalogue::Glasses;
 use crate::lens::check::check_surface;
 use crate::lens::prescription::{self, Read};
@@ -17,10 +17,14 @@ pub(super) fn left_out(text: &str, file: &str, glasses: &Glasses) -> Result<Vec<
 }
 
 /// The lens of a text; `file` names it in errors.
-pub(super) fn read(text: &str, file: &str, glasses: &Glasses) -> Result<Imported> {
+pub(super) fn read(text: &str, file: &str, glasses: &Glasses, reading: Reading) -> Result<Imported> {
     let Read { mut numbers, marked } = prescription::read(text, file, glasses)?;
     let mut notes = namesakes(&numbers, glasses);
     let count = marked.iter().filter(|m| **m).count();
+    if reading.focal_length_mm.is_some() {
+        numbers.check_numbers(file)?;
+        notes.extend(start::size_pupil(&mut numbers, reading.focal_length_mm));
+    }
     if count > 0 {
         // Each number by itself, before rays go through them.
         numbers.check_numbers(file)?;
@@ -92,7 +96,7 @@ mod tests {
             std::fs::write(&path, agf).expect("written");
             let mut glasses = Glasses::shipped().clone();
             glasses.add(&path).expect("reads");
-            let read = read(&text, "own.toml", &glasses).expect("reads");
+            let read = read(&text, "own.toml", &glasses, Reading::default()).expect("reads");
             assert_eq!(read.notes.len(), notes, "{:?}", read.notes);
             assert!(read.notes.iter().all(|n| n.contains("mine/F2")), "{:?}", read.notes);
             let shipped = Glasses::shipped().find("F2", Naming::Exact).expect("shipped");
@@ -109,7 +113,7 @@ mod tests {
             let without: String =
                 text.lines().filter(|l| !l.starts_with("semi_diameter_mm")).map(|l| format!("{l}\n")).collect();
             assert_ne!(text, without);
-            let read = read(&without, "own.toml", Glasses::shipped()).unwrap_or_else(|e| panic!("{name}: {e}"));
+            let read = read(&without, "own.toml", Glasses::shipped(), Reading::default()).unwrap_or_else(|e| panic!("{name}: {e}"));
             let told = format!("{0} of {0} clear", lens.surfaces.len());
             assert!(read.notes[0].contains(&told), "{name}: {:?}", read.notes);
             let size = |l: &Lens| paraxial::stop_semi_diameter(l);
@@ -124,7 +128,7 @@ mod tests {
             let mut first = true;
             let keep = |l: &&str| !(l.starts_with("semi_diameter_mm") && std::mem::take(&mut first));
             let one: String = text.lines().filter(keep).map(|l| format!("{l}\n")).collect();
-            let read = super::read(&one, "own.toml", Glasses::shipped()).expect("reads");
+            let read = super::read(&one, "own.toml", Glasses::shipped(), Reading::default()).expect("reads");
             assert!(read.notes[0].starts_with("1 of"), "{:?}", read.notes);
             for (a, b) in read.lens.surfaces.iter().zip(&lens.surfaces).skip(1) {
                 assert_eq!(a.semi_diameter, b.semi_diameter, "{name}");
@@ -147,7 +151,15 @@ mod tests {
             )
         };
         for radii in [[f64::INFINITY; 2], [50.0, 49.0], [-30.0, -31.0]] {
-            let read = |aperture: &str| read(&plate(radii, aperture), "p.toml", Glasses::shipped());
+            let read_for = |aperture: &str, focal_length_mm: Option<f64>| {
+                let reading = Reading { focal_length_mm, ..Reading::default() };
+                read(&plate(radii, aperture), "p.toml", Glasses::shipped(), reading)
+            };
+            let read = |aperture: &str| read_for(aperture, None);
+            // A start of an optimisation has the focal length that it is to have.
+            let start = read_for("f_number = 4.0", Some(50.0)).expect("a start");
+            assert_eq!(start.lens.aperture, Aperture::EntrancePupilDiameter(12.5), "{radii:?}");
+            assert!(start.notes[0].contains("an entrance pupil of 12.5 mm"), "{:?}", start.notes);
             let error = read("f_number = 4.0").expect_err("no power").to_string();
             assert!(error.contains("aperture.f_number") && error.contains("without power"), "{radii:?}: {error}");
             assert!(read("stop_semi_diameter_mm = 5.0").is_ok(), "{radii:?}");

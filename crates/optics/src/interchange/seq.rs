@@ -51,6 +51,8 @@ struct Reader<'a> {
     object: Option<f64>,
     /// Behind the image statement: how far the image stands behind the last distance.
     image: Option<f64>,
+    /// Where that statement stands.
+    image_at: Location,
     /// Wavelengths of private glasses while they are being defined, and the glasses.
     private: Option<Vec<f64>>,
     glasses: Vec<(String, Stated)>,
@@ -80,6 +82,7 @@ pub(super) fn read(text: &str, file: &str, glasses: &Glasses, reading: Reading) 
         kind: None,
         object: None,
         image: None,
+        image_at: Location::called("the image"),
         private: None,
         glasses: Vec::new(),
         solved: Vec::new(),
@@ -170,8 +173,14 @@ impl Reader<'_> {
             }
             "S" => self.surface(line)?,
             "SI" => {
-                if !line.words.is_empty() && ![0.0, f64::INFINITY].contains(&surface::length(line, 0)?.abs()) {
-                    return Err(line.refused("a curved image", "a plane image"));
+                self.image_at = line.place.clone();
+                if !line.words.is_empty() {
+                    let number = surface::length(line, 0)?;
+                    if self.radii.is_none() && number != 0.0 && number.is_finite() {
+                        self.unsaid.push((self.draft.surfaces.len(), number));
+                    }
+                    let radius = self.radii == Some(true) || number.is_infinite();
+                    self.draft.image.curvature = surface::curvature(number, radius) / unit;
                 }
                 self.image = Some(line.optional(1)?.unwrap_or(0.0) * unit);
             }
@@ -257,6 +266,7 @@ impl Reader<'_> {
             ));
         }
         mode::decide(&mut draft, &self.unsaid, self.scale, self.file, glasses)?;
+        draft.curve_image(&self.image_at, draft.image);
         if !self.solved.is_empty() {
             draft.notes.push(format!("solves and pickups are kept as their values: {}", self.solved.join(", ")));
         }

@@ -84,7 +84,7 @@ fn statements_name_their_surface() {
     }
     assert_eq!(read(&body("44.0", "STO S2\n")).lens.stop, 1);
     for (more, why) in
-        [("THI S4 1\n", "S1 to S2"), ("THI S2\n", "numbers"), ("CUY SI 0.1\n", "curved"), ("CUF S1 0.1\n", "Fresnel")]
+        [("THI S4 1\n", "S1 to S2"), ("THI S2\n", "numbers"), ("CUY SO 0.1\n", "curved"), ("CUF S1 0.1\n", "Fresnel")]
     {
         assert!(refusal(&body("44.0", more)).contains(why), "{more}");
     }
@@ -157,7 +157,7 @@ fn zoom_positions_are_read_by_their_number() {
         "RDM\n{HEAD}S 40 3 NBK7_SCHOTT\nSTO\nS -60 45\nSI 0 0\nZOO 2\nZOO THI S2 45 50\nZOO EPD 5 4\nZOO YAN F2 3 2\nZOO THC S2 0 0\n"
     );
     for (n, distance, pupil, field) in [(None, 45.0, 5.0, 3.0), (Some(1), 45.0, 5.0, 3.0), (Some(2), 50.0, 4.0, 2.0)] {
-        let Imported { lens, notes } = seq(&text, Reading { configuration: n, strict: false }).expect("reads");
+        let Imported { lens, notes } = seq(&text, Reading { configuration: n, ..Reading::default() }).expect("reads");
         let first = paraxial::first_order(&lens, 587.5618);
         assert_abs(measures(&lens)[1], distance, 0.0, "distance");
         assert_rel(first.entrance_pupil_diameter, pupil, 1e-12, 0.0, "pupil");
@@ -165,7 +165,7 @@ fn zoom_positions_are_read_by_their_number() {
         assert!(notes.iter().any(|n| n.contains("2 zoom positions")), "{notes:?}");
     }
     for n in [0, 3] {
-        let why = seq(&text, Reading { configuration: Some(n), strict: false }).expect_err("none").to_string();
+        let why = seq(&text, Reading { configuration: Some(n), ..Reading::default() }).expect_err("none").to_string();
         assert!(why.contains("1 to 2"), "{why}");
     }
     assert!(refusal(&text.replace("ZOO THI S2 45 50", "ZOO THI 45")).contains("2 positions"));
@@ -178,7 +178,7 @@ fn unknown_statements() {
     let text = format!("RDM\nFOO 1 2\n{HEAD}S 40 3 NBK7_SCHOTT\nSTO\nS -60 45\nSI 0 0\nBAR 3\n");
     let notes = read(&text).notes;
     assert!(notes.iter().any(|n| n.contains("FOO (line 2)") && n.contains("BAR")), "{notes:?}");
-    assert!(seq(&text, Reading { strict: true, configuration: None }).expect_err("strict").to_string().contains("FOO"));
+    assert!(seq(&text, Reading { strict: true, ..Reading::default() }).expect_err("strict").to_string().contains("FOO"));
     assert!(refusal(&text.replace("STO\n", "STO\nBAZ 1\n")).contains("BAZ"));
     assert!(refusal("FOO 1\nRDM\n").contains("CODE V sequence"));
 }

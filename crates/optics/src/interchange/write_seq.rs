@@ -83,7 +83,9 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
     }
     let object = 1.0 / lens.object_vergence;
     let object = if object.is_finite() { plain(object) } else { "1e13".into() };
-    let _ = write!(out, "SO 0 {object}{object_medium}\n{body}SI 0 0\nGO\n");
+    let image = lens.image;
+    let conic = if image.conic == 0.0 { String::new() } else { format!("  CON\n  K {}\n", plain(image.conic)) };
+    let _ = write!(out, "SO 0 {object}{object_medium}\n{body}SI {} 0\n{conic}GO\n", plain(image.curvature));
     notes.push("a CODE V file states no sensor: its pixels are left out".into());
     notes.push(if by_angle {
         "the aperture is written as the numerical aperture in object space".into()

@@ -59,7 +59,11 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
     let object = 1.0 / lens.object_vergence;
     let distance = if object.is_finite() { plain(object) } else { "INFINITY".into() };
     let _ = write!(out, "SURF 0\n  TYPE STANDARD\n  CURV 0\n  DISZ {distance}\n{object_glass}{body}");
-    let _ = write!(out, "SURF {}\n  TYPE STANDARD\n  CURV 0\n  DISZ 0\n", lens.surfaces.len() + 1);
+    let image = lens.image;
+    let _ = write!(out, "SURF {}\n  TYPE STANDARD\n  CURV {}\n  DISZ 0\n", lens.surfaces.len() + 1, plain(image.curvature));
+    if image.conic != 0.0 {
+        let _ = writeln!(out, "  CONI {}", plain(image.conic));
+    }
     notes.push("a Zemax file states no sensor: its pixels are left out".into());
     Ok((out, notes))
 }

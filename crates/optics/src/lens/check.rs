@@ -8,6 +8,8 @@ use isoplanat_base::error::{Error, Location, Result};
 pub(crate) const MAX_SURFACES: usize = 400;
 /// Most wavelengths that a lens states; other programs take up to 24.
 const MAX_WAVELENGTHS: usize = 100;
+/// Largest curvature (1/mm) and conic constant of the image surface.
+const MOST_CURVED: f64 = 1e6;
 /// Largest object.
 const MAX_HEIGHT_MM: f64 = 1e6;
 /// Largest half field angle. Work on a flat image asks for less than 90.
@@ -39,7 +41,7 @@ impl Prescription {
             && self.is_powerless()
         {
             let found = format!("{number} of a lens without power, whose stop it cannot size");
-            let allowed = "a lens with power, or entrance_pupil_diameter_mm or stop_semi_diameter_mm instead";
+            let allowed = "a lens with power, or entrance_pupil_diameter_mm or stop_semi_diameter_mm instead; `optimize` takes a start with --constraint focal_length=..";
             return Err(Error::bad(file, "aperture.f_number", found, allowed));
         }
         clearance::check(self, file)
@@ -158,6 +160,23 @@ impl Prescription {
         if !(LEAST_PITCH_UM..=MOST_PITCH_UM).contains(&s.pitch_um) {
             let allowed = format!("{LEAST_PITCH_UM} to {MOST_PITCH_UM} µm");
             return Err(Error::bad(file, "sensor.pitch_um", s.pitch_um.to_string(), allowed));
+        }
+        self.check_image(file)
+    }
+
+    fn check_image(&self, file: &str) -> Result<()> {
+        let image = self.image;
+        for (key, value) in [("curvature_per_mm", image.curvature), ("conic", image.conic)] {
+            if !value.is_finite() || value.abs() > MOST_CURVED {
+                let allowed = format!("a number up to {MOST_CURVED:e} either way");
+                return Err(Error::bad(file, Location::from("image").key(key), value.to_string(), allowed));
+            }
+        }
+        let (reach, corner) = (image.shape().reach(), self.sensor.radius_mm());
+        if corner > reach {
+            let found = format!("a sensor whose corner lies {corner:.4} mm off the axis");
+            let allowed = format!("a corner within {reach:.4} mm, where an image surface of this form ends");
+            return Err(Error::bad(file, "image", found, allowed));
         }
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! What the surfaces of a lens must leave each other, the stop and the sensor.
 
-use super::{Aperture, Prescription, Surface, paraxial};
+use super::{Aperture, Prescription, Shape, paraxial};
 use isoplanat_base::error::{Error, Location, Result};
 use isoplanat_base::figures::significant;
 
@@ -70,7 +70,7 @@ fn among(lens: &Prescription, these: &[usize]) -> Vec<Overlap> {
         let between = &lens.surfaces[a..b];
         let rim = lens.surfaces[a..=b].iter().map(|s| s.semi_diameter).fold(f64::INFINITY, f64::min);
         let apart = between.iter().map(|s| s.thickness).sum();
-        let gap = |r: f64| gap(&lens.surfaces[a], apart, Some(&lens.surfaces[b]), r);
+        let gap = |r: f64| gap(&lens.surfaces[a].shape, apart, &lens.surfaces[b].shape, r);
         let (depth_mm, first) = deepest(rim, gap)?;
         Some(Overlap { surface: a, next: b, from_mm: begin(rim, first, gap), depth_mm })
     };
@@ -100,7 +100,8 @@ pub(super) fn check(lens: &Prescription, file: &str) -> Result<()> {
     let surface = &lens.surfaces[last];
     let rim = lens.surfaces[last..].iter().map(|s| s.semi_diameter).fold(f64::INFINITY, f64::min);
     let apart = lens.surfaces[last..].iter().map(|s| s.thickness).sum();
-    let room = radii(rim).map(|r| gap(surface, apart, None, r)).fold(f64::INFINITY, f64::min);
+    let image = lens.image.shape();
+    let room = radii(rim).map(|r| gap(&surface.shape, apart, &image, r)).fold(f64::INFINITY, f64::min);
     if room < -TOUCHING_MM {
         return Err(Error::bad(
             file,
@@ -141,16 +142,15 @@ fn begin(rim: f64, first: u32, gap: impl Fn(f64) -> f64) -> f64 {
     low
 }
 
-/// Least distance along the axis from `surface` to `next`, `apart` from it (the sensor's plane for `None`) at `r` from it, mm; tilts and
-/// decentres are not looked at.
-fn gap(surface: &Surface, apart: f64, next: Option<&Surface>, r: f64) -> f64 {
+/// Least distance along the axis from `surface` to `next`, `apart` from it, at `r` from it, mm; tilts and decentres are not looked at.
+fn gap(surface: &Shape, apart: f64, next: &Shape, r: f64) -> f64 {
     // One azimuth says all where both surfaces are symmetric.
-    let symmetric = std::iter::once(surface).chain(next).all(|s| s.shape.is_symmetric());
+    let symmetric = surface.is_symmetric() && next.is_symmetric();
     (0..if symmetric { 1 } else { 16 })
         .filter_map(|k| {
             let (sin, cos) = (std::f64::consts::TAU * f64::from(k) / 16.0).sin_cos();
-            let sag = |s: &Surface| s.shape.at(r * cos, r * sin).map(|l| l.h);
-            Some(apart + next.map_or(Some(0.0), sag)? - sag(surface)?)
+            let sag = |s: &Shape| s.at(r * cos, r * sin).map(|l| l.h);
+            Some(apart + sag(next)? - sag(surface)?)
         })
         .fold(f64::INFINITY, f64::min)
 }

@@ -7,7 +7,9 @@ use serde::{Deserialize, Serialize};
 use super::catalogue::{self, Glasses, Naming};
 use super::dispersion::Formula;
 use super::shape::HIGHEST_POWER;
-use super::{Aperture, Field, Lens, Medium, Prescription, SensorRaster, Shape, Surface, Wavelengths, clearance};
+use super::{
+    Aperture, Field, ImageSurface, Lens, Medium, Prescription, SensorRaster, Shape, Surface, Wavelengths, clearance,
+};
 use isoplanat_base::error::{Error, Location, Result};
 
 mod freeform;
@@ -28,6 +30,8 @@ struct File {
     field: FileField,
     wavelengths: FileWavelengths,
     sensor: FileSensor,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    image: Option<FileImage>,
     surface: Vec<FileSurface>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     element: Vec<FileElement>,
@@ -79,6 +83,17 @@ struct FileSensor {
     pitch_um: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     axis_px: Option<[f64; 2]>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileImage {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    radius_mm: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    curvature_per_mm: Option<f64>,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    conic: f64,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -302,21 +317,46 @@ pub(crate) fn read(text: &str, file: &str, glasses: &Glasses) -> Result<Read> {
             primary_nm: parsed.wavelengths.primary_nm,
         },
         sensor: SensorRaster { columns, rows, pitch_um, axis_px },
+        image: parsed.image.map_or(Ok(ImageSurface::default()), |image| read_image(image, file))?,
     };
     Ok(Read { numbers, marked })
+}
+
+fn read_image(image: FileImage, file: &str) -> Result<ImageSurface> {
+    let place = |key: &str| Location::from("image").key(key);
+    let curvature = read_curvature(image.radius_mm, image.curvature_per_mm, file, place)?;
+    let curvature = curvature.ok_or_else(|| one_of_radius_and_curvature(file, place("radius_mm")))?;
+    Ok(ImageSurface { curvature, conic: image.conic })
+}
+
+/// The curvature that a radius or a curvature states; `None` where both or neither are.
+fn read_curvature(
+    radius: Option<f64>,
+    curvature: Option<f64>,
+    file: &str,
+    place: impl Fn(&str) -> Location,
+) -> Result<Option<f64>> {
+    match (radius, curvature) {
+        (Some(r), None) if r.is_nan() || r == 0.0 => {
+            Err(Error::bad(file, place("radius_mm"), r.to_string(), "not zero; inf is a plane"))
+        }
+        (Some(r), None) => Ok(Some(1.0 / r)),
+        (None, Some(c)) => Ok(Some(c)),
+        _ => Ok(None),
+    }
+}
+
+fn one_of_radius_and_curvature(file: &str, place: Location) -> Error {
+    Error::bad(file, place, "radius and curvature both or neither", "exactly one of the two")
 }
 
 fn read_surface(i: usize, s: FileSurface, file: &str, glasses: &Glasses) -> Result<Surface> {
     let place = |key: &str| Location::surface(i).key(key);
     let refuse = |key: &str, found: String, allowed: &str| Error::bad(file, place(key), found, allowed);
-    let curvature = match (s.radius_mm, s.curvature_per_mm) {
-        (Some(r), None) if r.is_nan() || r == 0.0 => {
-            return Err(refuse("radius_mm", r.to_string(), "not zero; inf is a plane"));
-        }
-        (Some(r), None) => 1.0 / r,
-        (None, Some(c)) => c,
-        (None, None) if s.ideal_focal_length_mm.is_some() => 0.0,
-        _ => return Err(refuse("radius_mm", "radius and curvature both or neither".into(), "exactly one of the two")),
+    let curvature = match read_curvature(s.radius_mm, s.curvature_per_mm, file, place)? {
+        Some(c) => c,
+        None if s.ideal_focal_length_mm.is_some() && s.radius_mm.is_none() => 0.0,
+        None => return Err(one_of_radius_and_curvature(file, place("radius_mm"))),
     };
     let (mut asphere, mut odd) = (Vec::new(), Vec::new());
     for (key, value) in &s.asphere {
@@ -412,6 +452,10 @@ pub fn to_toml(lens: &Prescription) -> String {
             pitch_um: lens.sensor.pitch_um,
             axis_px: Some(lens.sensor.axis_px),
         },
+        image: (lens.image != ImageSurface::default()).then(|| {
+            let [radius_mm, curvature_per_mm] = write_curvature(lens.image.curvature);
+            FileImage { radius_mm, curvature_per_mm, conic: lens.image.conic }
+        }),
         surface,
         element: lens.elements.iter().map(freeform::write_element).collect(),
     };
@@ -423,14 +467,19 @@ fn terms(list: &[f64], from: usize) -> impl Iterator<Item = (String, f64)> {
     list.iter().enumerate().map(move |(i, a)| (format!("a{}", 2 * i + from), *a))
 }
 
+/// A curvature as radius or as curvature: a radius that inverts exactly is what a reader expects; otherwise the curvature keeps every bit.
+fn write_curvature(curvature: f64) -> [Option<f64>; 2] {
+    let radius = 1.0 / curvature;
+    let exact = 1.0 / radius == curvature;
+    [exact.then_some(radius), (!exact).then_some(curvature)]
+}
+
 fn write_surface(s: &Surface, stop: bool) -> FileSurface {
     let Shape { curvature, conic, asphere, odd, zernike, xy, ideal } = &s.shape;
-    // A radius that inverts exactly is what a reader expects; otherwise the curvature keeps every bit.
-    let radius = 1.0 / curvature;
-    let exact = 1.0 / radius == *curvature;
+    let [radius_mm, curvature_per_mm] = write_curvature(*curvature);
     FileSurface {
-        radius_mm: exact.then_some(radius),
-        curvature_per_mm: (!exact).then_some(*curvature),
+        radius_mm,
+        curvature_per_mm,
         conic: *conic,
         asphere: terms(asphere, 2).chain(terms(odd, 3)).collect(),
         thickness_mm: s.thickness,

@@ -43,6 +43,7 @@ impl Prescription {
             e.pivot *= factor;
         }
         self.object_vergence /= factor;
+        self.image.curvature /= factor;
         match &mut self.aperture {
             Aperture::EntrancePupilDiameter(d) | Aperture::StopSemiDiameter(d) => *d *= factor,
             Aperture::FNumber(_) | Aperture::ObjectNa(_) => {}

@@ -4,7 +4,7 @@ use super::catalogue::{Glasses, Naming};
 use super::{Aperture, Lens, Medium, Prescription, Shape, Surface, builtin, paraxial, prescription};
 
 /// One surface of the first carries all terms of a form, that of each other one kind of them alone; glasses, poses and an element stand among
-/// the others. The aperture is stated in each way. The fourth looks at an object in water, the fifth has an ideal lens behind it.
+/// the others. The aperture is stated in each way. The fourth looks at an object in water, and its image is curved; the fifth has an ideal lens behind it.
 pub(crate) fn every_kind() -> [Lens; 5] {
     let text = builtin::text("two_element").expect("shipped");
     let form = "radius_mm = 18.5\nconic = 0.3\ntilt_deg = [0.2, 0.1, 3.0]\ndecentre_mm = [0.02, -0.05]\n\
@@ -38,7 +38,7 @@ pub(crate) fn every_kind() -> [Lens; 5] {
     });
     let [a, b, c, d] = std::array::from_fn(|_| each.next().expect("four"));
     let water = Medium::Table { wavelength_nm: vec![440.0, 550.0, 680.0], index: vec![1.341, 1.335, 1.331] };
-    let d = d.changed(|l| l.object_medium = water).expect("a lens");
+    let d = d.changed(|l| (l.object_medium, l.image.curvature) = (water, -1.0 / 90.0)).expect("a lens");
     let ideal = b.changed(|l| {
         let last = l.surfaces.len() - 1;
         l.surfaces[last].thickness -= 3.0;

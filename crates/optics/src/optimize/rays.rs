@@ -15,6 +15,7 @@ use crate::lens::{Lens, Prescription};
 use crate::trace::aim::{Aimed, Aimer};
 use crate::trace::lanes::TILE;
 use crate::trace::sequential::{first_vignetted, trace};
+use crate::trace::system::TraceSurface;
 use crate::trace::{Cause, Failure, Ray, System};
 
 /// Rays are aimed to this part of the stop's semi-diameter.
@@ -52,11 +53,13 @@ pub(super) struct Traced {
     landed: Vec<Vec<Landing>>,
     /// How far from the axis light goes on every surface, mm.
     pub(super) heights: Vec<f64>,
+    /// What rays land on.
+    image: TraceSurface,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Landing {
-    pub(super) at: DVec2,
+    at: DVec3,
     direction: DVec3,
     path: f64,
 }
@@ -149,7 +152,8 @@ impl Rays {
         mut places: Vec<Vec<LaunchPoint>>,
     ) -> Result<Traced, Failure> {
         let surfaces = numbers.surfaces.len();
-        let mut out = Traced { places: Vec::new(), landed: Vec::new(), heights: vec![0.0; surfaces] };
+        let image = TraceSurface::new(numbers.image.shape(), 0.0, [1.0; 2], f64::INFINITY);
+        let mut out = Traced { places: Vec::new(), landed: Vec::new(), heights: vec![0.0; surfaces], image };
         let numbers = &{
             let mut open = numbers.clone();
             opened(&mut open, heights);
@@ -168,7 +172,7 @@ impl Rays {
                 for (i, ray) in rays.iter().enumerate() {
                     let landing = engine.behind(&self.work, image, i);
                     landed[at * TILE + i] = Landing {
-                        at: landing.origin.truncate(),
+                        at: landing.origin,
                         direction: index * landing.direction,
                         path: engine.path(&self.work, i) + before * planes(i).path(ray),
                     };
@@ -220,7 +224,7 @@ impl Rays {
                 if wavefront {
                     let landed = &traced.landed[c][at * TILE..];
                     for ((bar, l), sample) in bars.iter_mut().zip(landed).zip(samples) {
-                        let off = (centroids[sample.point] - l.at).extend(0.0);
+                        let off = traced.image.point(centroids[sample.point]) - l.at;
                         let index = engine.system.surfaces[image].index_before;
                         *bar = Bar { point: -l.direction, direction: index * off, path: 1.0 };
                     }
@@ -303,18 +307,19 @@ impl Rays {
 
 impl Traced {
     pub(super) fn landing(&self, colour: usize, sample: usize) -> DVec2 {
-        self.landed[colour][sample].at
+        self.landed[colour][sample].at.truncate()
     }
 
-    /// Path to the foot of the perpendicular from `reference` in the image plane, up to the index of the image space.
+    /// Path to the foot of the perpendicular from `reference` on the image surface, up to the index of the image space.
     pub(super) fn path_to(&self, colour: usize, sample: usize, reference: DVec2) -> f64 {
         let l = &self.landed[colour][sample];
-        l.path + l.direction.dot((reference - l.at).extend(0.0))
+        l.path + l.direction.dot(self.image.point(reference) - l.at)
     }
 
     /// Its slope by the reference.
-    pub(super) fn path_by(&self, colour: usize, sample: usize) -> DVec2 {
-        self.landed[colour][sample].direction.truncate()
+    pub(super) fn path_by(&self, colour: usize, sample: usize, reference: DVec2) -> DVec2 {
+        let direction = self.landed[colour][sample].direction;
+        direction.truncate() + direction.z * self.image.slope(reference)
     }
 }
 

@@ -120,6 +120,13 @@ const GROUPS: &str = "focal_length, f_number, working_f_number, track, back_focu
                       surface[i].centre, surface[i].slope, surface[i].reach";
 
 impl Spec {
+    /// The focal length that the lens is to have, mm, where one value is held or wanted.
+    pub fn focal_length_mm(&self) -> Option<f64> {
+        let name = Quantity::FocalLength.name();
+        let held = self.constraints.get(&name).map(|range| range.bounds()).filter(|[a, b]| a == b).map(|[f, _]| f);
+        held.or_else(|| self.targets.get(&name).map(|t| t.value)).filter(|f| f.is_finite() && *f != 0.0)
+    }
+
     /// From TOML; `file` names it.
     ///
     /// # Errors

@@ -3,7 +3,7 @@ use super::residuals::{jacobian, residuals};
 use super::*;
 use crate::lens::test_lenses::every_kind;
 use crate::lens::variables::Variables;
-use crate::lens::{Field, Kind, Parameter, builtin};
+use crate::lens::{Field, ImageSurface, Kind, Parameter, builtin};
 
 /// Residuals of a lens whose numbers are `values`, rays followed from the lens at `at`.
 fn moved(merit: &Merit, lens: &Lens, variables: &Variables, step: &[f64]) -> Vec<f64> {
@@ -34,8 +34,10 @@ fn jacobians_agree_with_differences() {
     let chief = Merit { reference: Reference::Chief, ..spot.clone() };
     let waves = Merit { quality: Quality::Wavefront, ..spot.clone() };
     let depths = Merit { depths: vec![[0.0, 1.0], [1e-3, 1.0]], ..spot.clone() };
-    let mut cases = vec![(cooke.clone(), spot.clone()), (cooke.clone(), chief), (cooke, waves.clone()), (two, depths)];
-    cases.extend([(three.clone(), spot.clone()), (three, waves)]);
+    let mut cases =
+        vec![(cooke.clone(), spot.clone()), (cooke.clone(), chief), (cooke.clone(), waves.clone()), (two, depths)];
+    let curved = cooke.changed(|l| l.image = ImageSurface { curvature: -1.0 / 60.0, conic: 0.3 }).expect("a lens");
+    cases.extend([(three.clone(), spot.clone()), (three, waves.clone()), (curved.clone(), spot.clone()), (curved, waves)]);
     let general = |lens: Lens| lens.changed(|l| l.field = Field::Angle(4.0)).expect("a lens");
     cases.extend(every_kind().into_iter().map(|lens| (general(lens), spot.clone())));
     for (lens, merit) in cases {

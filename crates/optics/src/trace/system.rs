@@ -1,4 +1,6 @@
-//! A lens at one wavelength: what a ray meets, image plane included.
+//! A lens at one wavelength: what a ray meets, image surface included.
+
+use glam::{DVec2, DVec3};
 
 use crate::lens::pose::{Motion, placed, placed_vjp};
 use crate::lens::{LensGradient, Prescription, Shape, paraxial};
@@ -14,7 +16,7 @@ pub struct TraceSurface {
     pub index_before: f64,
     /// Index behind it.
     pub index_after: f64,
-    /// Clear semi-diameter, mm (infinite for the image plane).
+    /// Clear semi-diameter, mm (infinite for the image surface).
     pub semi_diameter: f64,
     /// Where the surface stands relative to its nominal vertex frame.
     pub motion: Option<Motion>,
@@ -49,6 +51,24 @@ impl TraceSurface {
         }
     }
 
+    /// Sag and slopes at `(x, y)`, in its own frame; none beyond its reach.
+    fn on(&self, at: DVec2) -> Option<(f64, DVec2)> {
+        if self.shape.curvature == 0.0 && !self.aspheric {
+            return Some((0.0, DVec2::ZERO));
+        }
+        self.shape.at(at.x, at.y).map(|local| (local.h, DVec2::from(local.slope)))
+    }
+
+    /// The point at `(x, y)`, mm in its own frame; not a number beyond its reach.
+    pub(crate) fn point(&self, at: DVec2) -> DVec3 {
+        at.extend(self.on(at).map_or(f64::NAN, |(h, _)| h))
+    }
+
+    /// Its slopes `∂z/∂(x, y)` there.
+    pub(crate) fn slope(&self, at: DVec2) -> DVec2 {
+        self.on(at).map_or(DVec2::NAN, |(_, slope)| slope)
+    }
+
     /// The same surface met from the other side, `distance` behind the previous vertex.
     #[must_use]
     pub(super) fn reversed(&self, distance: f64) -> Self {
@@ -64,12 +84,12 @@ impl TraceSurface {
     }
 }
 
-/// All surfaces of a lens at one wavelength; the image plane is the last.
+/// All surfaces of a lens at one wavelength; the image surface is the last.
 #[derive(Clone, Debug, PartialEq)]
 pub struct System {
     /// Wavelength, nm.
     pub wavelength_nm: f64,
-    /// Surfaces, image plane last.
+    /// Surfaces, image surface last.
     pub surfaces: Vec<TraceSurface>,
     /// The stop's surface.
     pub stop: usize,
@@ -106,11 +126,11 @@ impl System {
             distance = s.thickness;
         }
         let last = n[n.len() - 1];
-        surfaces.push(TraceSurface::new(Shape::default(), distance, [last, last], f64::INFINITY));
+        surfaces.push(TraceSurface::new(lens.image.shape(), distance, [last, last], f64::INFINITY));
         Self { wavelength_nm: nm, surfaces, stop: lens.stop, stop_semi_diameter }
     }
 
-    /// The same lens met from the sensor's side: the first vertex is the image plane, the last surface the former
+    /// The same lens met from the sensor's side: the first surface is the image's, the last the former
     /// first vertex.
     #[must_use]
     pub fn reversed(&self) -> Self {
@@ -124,16 +144,21 @@ impl System {
         Self { surfaces, stop: count - 1 - self.stop, ..*self }
     }
 
-    /// Index of the image plane in [`Self::surfaces`].
+    /// Index of the image surface in [`Self::surfaces`].
     pub fn image(&self) -> usize {
         self.surfaces.len() - 1
+    }
+
+    /// What rays land on.
+    pub(crate) fn image_surface(&self) -> &TraceSurface {
+        &self.surfaces[self.image()]
     }
 }
 
 /// Cotangents of a [`System`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct SystemGradient {
-    /// Shapes of the surfaces (image plane included, unused).
+    /// Shapes of the surfaces (the image surface's included, which no design moves).
     pub shapes: Vec<Shape>,
     /// Distances to the previous vertex.
     pub distances: Vec<f64>,

@@ -1,7 +1,8 @@
 //! Wide-angle lenses for tests: published prescriptions as plain numbers.
 
 use crate::lens::{
-    Aperture, Field, Lens, Medium, Pose, Prescription, SensorRaster, Shape, Surface, Wavelengths, builtin, unchecked,
+    Aperture, Field, ImageSurface, Lens, Medium, Pose, Prescription, SensorRaster, Shape, Surface, Wavelengths, builtin,
+    unchecked,
 };
 use isoplanat_base::testing::between;
 
@@ -31,6 +32,7 @@ fn lens(name: &str, source: &str, rows: &[Row], unit: f64, stop: usize, aperture
         field: Field::Angle(field_deg),
         wavelengths: Wavelengths { nm: vec![587.5618], weights: vec![1.0], primary_nm: 587.5618 },
         sensor: SensorRaster { columns: 100, rows: 100, pitch_um: 5.0, axis_px: [50.0, 50.0] },
+        image: ImageSurface::default(),
     };
     unchecked(&builtin::lens("cooke_triplet").expect("shipped"), |l| *l = numbers)
 }

@@ -83,9 +83,7 @@ pub(super) fn overlap(
             chebyshev(eta, highest, &mut at);
             pupil.path.along(&at, &mut path);
             pupil.amplitude.along(&at, &mut amplitude);
-            let across_cosine = pupil.middle.y + pupil.half.y * eta;
-            let under = pupil.index * pupil.index - across_cosine * across_cosine;
-            let depth = |xi: f64| (under - (pupil.middle.x + pupil.half.x * xi).powi(2)).max(0.0).sqrt();
+            let depth = |xi: f64| pupil.depth(pupil.middle + pupil.half * DVec2::new(xi, eta));
             for [a, b] in parts {
                 for (t, w) in rules.of(fineness * along) {
                     let first = 0.5 * (a + b) + 0.5 * (b - a) * t;
@@ -144,8 +142,7 @@ pub(super) fn counted(pupil: &Oriented, count: u32, points: u32, focus: f64) -> 
             let point = DVec2::new(at(i), at(j));
             let (path, amplitude) = pupil.at(point)?;
             let q = pupil.middle + pupil.half * point;
-            let depth = (pupil.index * pupil.index - q.length_squared()).sqrt();
-            Some(Complex::from_polar(amplitude, TAU * (path + focus * depth / pupil.wavelength)))
+            Some(Complex::from_polar(amplitude, TAU * (path + focus * pupil.depth(q) / pupil.wavelength)))
         };
         let row: Vec<Option<Complex<f64>>> = (0..count).map(of).collect();
         for (first, second) in row.iter().zip(row.iter().skip(points as usize)) {

@@ -35,6 +35,8 @@ pub struct Pupil {
     pub wavelength_nm: f64,
     /// Refractive index of the image space.
     pub index: f64,
+    /// Slopes of the image surface where paths are counted from.
+    steep: DVec2,
     degree: usize,
 }
 
@@ -57,11 +59,13 @@ pub(super) struct Oriented {
     /// Index of the image space, wavelength in mm.
     pub(super) index: f64,
     pub(super) wavelength: f64,
+    /// Slopes of the image surface along and across.
+    steep: DVec2,
     /// The open rays.
     pub(super) landings: Vec<Landing>,
 }
 
-/// Where a ray lands, by the shift `z` of the image plane: `at + z slope`; along and across, mm.
+/// Where a ray lands, by the shift `z` of the image surface: `at + z slope`; along and across, mm.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Landing {
     at: DVec2,
@@ -92,7 +96,7 @@ fn clearance(ray: &StopRay) -> f64 {
 }
 
 impl Pupil {
-    /// Traces `object`; paths count about `centre`, mm in the image plane's frame.
+    /// Traces `object`; paths count about `centre`, mm in the image surface's frame.
     ///
     /// # Errors
     /// No light, or light that leaves no pupil function (`Fault`).
@@ -102,6 +106,7 @@ impl Pupil {
             rays: Vec::new(),
             wavelength_nm: aimer.system().wavelength_nm,
             index: source.index,
+            steep: source.steep,
             degree: DEGREES[0],
         };
         let near = |ray: &StopRay| clearance(ray) > -MARGIN;
@@ -146,7 +151,8 @@ impl Pupil {
     pub(super) fn along(&self, direction: DVec2) -> Oriented {
         let u = direction.normalize_or(DVec2::Y);
         let turned = |v: DVec2| DVec2::new(u.dot(v), u.perp().dot(v));
-        let cosines: Vec<DVec2> = self.rays.iter().map(|r| self.index * turned(r.direction.truncate())).collect();
+        let steep = turned(self.steep);
+        let cosines: Vec<DVec2> = self.rays.iter().map(|r| turned(r.cosines)).collect();
         let least = cosines.iter().copied().fold(DVec2::INFINITY, DVec2::min);
         let most = cosines.iter().copied().fold(DVec2::NEG_INFINITY, DVec2::max);
         // A little room, so that the box holds chords whose ends are its own.
@@ -166,19 +172,30 @@ impl Pupil {
             }
         }
         let landing = |r: &StopRay| {
-            let (d, n) = (turned(r.direction.truncate()), r.direction.z);
+            let d = turned(r.direction.truncate());
+            let n = r.direction.z - d.dot(steep);
             let slope = d / n;
-            // ∂(d/n)/∂q of a unit vector.
+            // ∂(d/n)/∂q of a unit vector, with a steep image nearly: it says how finely to sample.
             let slope_by = (DVec2::X + slope * slope.x) / (n * self.index);
             Landing { at: turned(r.landing.truncate()), slope, at_by: turned(r.stretch * u), slope_by }
         };
         let landings = self.rays.iter().filter(|r| r.open()).map(landing).collect();
         let index = self.index;
-        Oriented { middle, half, path, amplitude, clips, residual, index, wavelength, landings }
+        Oriented { middle, half, path, amplitude, clips, residual, index, wavelength, steep, landings }
     }
 }
 
 impl Oriented {
+    /// `n N` at the optical cosines `q` along the image surface: what a shift of that surface by 1 adds to the path.
+    pub(super) fn depth(&self, q: DVec2) -> f64 {
+        let under = self.index * self.index - q.length_squared();
+        if self.steep == DVec2::ZERO {
+            return under.max(0.0).sqrt();
+        }
+        let (steep, along) = (1.0 + self.steep.length_squared(), q.dot(self.steep));
+        (along + (along * along + steep * under).max(0.0).sqrt()) / steep
+    }
+
     /// Whether a point of the box is open, path in wavelengths, amplitude: the slow way, for comparison.
     pub(super) fn at(&self, point: DVec2) -> Option<(f64, f64)> {
         let (mut eta, mut line) = (Vec::new(), Vec::new());

@@ -6,6 +6,7 @@ use super::Part;
 use crate::interchange::draft::{Draft, FieldKind, Point, Size, Stage};
 use crate::interchange::media::Stated;
 use crate::interchange::text::shown;
+use crate::lens::ImageSurface;
 use crate::lens::check::MAX_SURFACES;
 use isoplanat_base::error::{Location, Result};
 
@@ -122,9 +123,15 @@ fn surfaces(part: &Part, draft: &mut Draft) -> Result<()> {
         stage.thickness = places[i + 1] - places[i];
         draft.surfaces.push(stage);
     }
-    let curved = image.need("geometry")?.get("radius").map(|r| r.any_number()).transpose()?;
-    if curved.is_some_and(f64::is_finite) {
-        return Err(image.refused("a curved image", "a plane image"));
+    let geometry = image.need("geometry")?;
+    let number = |key: &str| geometry.get(key).map(|x| x.any_number()).transpose();
+    let (radius, conic) = (number("radius")?.unwrap_or(f64::INFINITY), number("conic")?.unwrap_or(0.0));
+    if radius.is_finite() {
+        if !["Plane", "StandardGeometry"].contains(&geometry.need("type")?.text()?) {
+            return Err(image.refused("an aspheric image", "a plane image, or one of type StandardGeometry"));
+        }
+        let form = ImageSurface { curvature: radius.recip(), conic };
+        draft.curve_image(&Location::called(image.path.as_str()), form);
     }
     Ok(())
 }

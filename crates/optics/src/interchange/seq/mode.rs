@@ -22,7 +22,7 @@ enum Fault {
     Image(String),
 }
 
-/// Decides what the numbers `unsaid` (surface, number of `S` in the file's unit of `scale` mm) are.
+/// Decides what the numbers `unsaid` (surface, the image behind the last; number of `S` in the file's unit of `scale` mm) are.
 pub(super) fn decide(
     draft: &mut Draft,
     unsaid: &[(usize, f64)],
@@ -39,7 +39,8 @@ pub(super) fn decide(
     };
     let set = |draft: &mut Draft, radius: bool| {
         for (i, number) in unsaid {
-            draft.surfaces[*i].curvature = curvature(*number, radius) / scale;
+            let stated = draft.surfaces.get_mut(*i).map_or(&mut draft.image.curvature, |s| &mut s.curvature);
+            *stated = curvature(*number, radius) / scale;
         }
     };
     set(draft, true);

@@ -58,15 +58,26 @@ impl Reader<'_> {
             Subject::Image if keyword == "PIM" && count > 0 => self.of_one(count - 1, keyword, rest),
             // A plane needs none of them.
             Subject::Object | Subject::Image if ["CIR", "REX", "REY", "STO", "RMD"].contains(&keyword) => Ok(()),
-            Subject::Object | Subject::Image if ["CUY", "RDY"].contains(&keyword) => {
+            Subject::Image if ["CUY", "RDY", "K", "CON", "ASP"].contains(&keyword) => {
+                let form = &mut self.draft.image;
+                match keyword {
+                    "CUY" => form.curvature = rest.number(0)? / self.scale,
+                    "RDY" => form.curvature = curvature(length(rest, 0)?, true) / self.scale,
+                    "K" => form.conic = rest.number(0)?,
+                    _ => {}
+                }
+                self.unsaid.retain(|(of, _)| *of != count || !["CUY", "RDY"].contains(&keyword));
+                Ok(())
+            }
+            Subject::Object if ["CUY", "RDY"].contains(&keyword) => {
                 if rest.number(0)? == 0.0 {
                     return Ok(());
                 }
-                Err(line.refused("a curved object or image", "a plane one"))
+                Err(line.refused("a curved object", "a plane one"))
             }
             Subject::Object | Subject::Image if named.is_some() => Err(rest.refused(
                 format!("the statement `{}` of the object or the image", shown(keyword)),
-                "THI, and apertures, of them, GLA of the object",
+                "THI, and apertures, of them, GLA of the object, CUY, RDY and K of the image",
             )),
             Subject::Object | Subject::Image | Subject::None => self.read_over(keyword, line),
         }

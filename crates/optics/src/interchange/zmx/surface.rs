@@ -7,6 +7,7 @@ use crate::interchange::draft::{Draft, Stage};
 use crate::interchange::line_glass::OfLine;
 use crate::interchange::media::Stated;
 use crate::interchange::text::{Line, shown};
+use crate::lens::ImageSurface;
 use isoplanat_base::error::{Error, Location, Result};
 
 /// Keywords of a surface that no ray depends on.
@@ -210,7 +211,12 @@ impl Raw {
 
     /// Whether it is no plane.
     fn is_curved(&self) -> bool {
-        self.curvature != 0.0 || self.parameters.iter().chain(self.extra.iter().skip(3)).any(|p| *p != 0.0)
+        self.curvature != 0.0 || self.has_terms()
+    }
+
+    /// Whether its type's parameters are used.
+    fn has_terms(&self) -> bool {
+        self.parameters.iter().chain(self.extra.iter().skip(3)).any(|p| *p != 0.0)
     }
 
     /// The surface in mm.
@@ -277,22 +283,28 @@ pub(super) fn put(draft: &mut Draft, mut surfaces: Vec<Raw>, order: &Order, scal
     if middle.is_empty() {
         return Err(Error::bad(file, "SURF", "2 surfaces", "an object, at least one surface, an image"));
     }
-    for (s, what, taken) in [
-        (object, "object", "object points are taken on the plane through its vertex"),
-        (image, "image", "images are taken on the plane through its vertex"),
-    ] {
+    for (s, what) in [(object, "object"), (image, "image")] {
         s.shape(scale, file)?;
         if s.kind == "COORDBRK" || s.tilted {
             return Err(s.refused(file, format!("a tilted {what}"), &format!("the {what} on the axis")));
         }
-        if s.is_curved() {
-            let radius = if s.curvature == 0.0 {
-                "an aspheric form".into()
-            } else {
-                format!("a radius of {} mm", scale / s.curvature)
-            };
-            draft.notes.push(format!("{}: the {what} is curved, with {radius}: {taken}", s.place));
-        }
+    }
+    if object.is_curved() {
+        let radius = if object.curvature == 0.0 {
+            "an aspheric form".into()
+        } else {
+            format!("a radius of {} mm", scale / object.curvature)
+        };
+        let place = &object.place;
+        draft.notes.push(format!(
+            "{place}: the object is curved, with {radius}: object points are taken on the plane through its vertex"
+        ));
+    }
+    let form = ImageSurface { curvature: image.curvature / scale, conic: image.conic };
+    draft.curve_image(&image.place, if form.is_plane() { ImageSurface::default() } else { form });
+    if image.has_terms() {
+        let place = &image.place;
+        draft.notes.push(format!("{place}: terms of the image's form beyond its conic are left out"));
     }
     draft.object_mm = object.thickness * scale;
     if let Some((stated, told)) = &object.glass {

@@ -1,7 +1,7 @@
 //! Rays from a point of the sensor, aimed at the real stop and followed out into the scene.
 //!
-//! Light runs backwards here: the system is [`System::reversed`], its first surface the image plane. The unknowns are the
-//! direction cosines `(L, M)` of the ray at the sensor, found by Newton on the point where it meets the stop. Seen from
+//! Light runs backwards here: the system is [`System::reversed`], its first surface the sensor's. The unknowns are the
+//! direction cosines `(L, M)` of the ray at the sensor (of a curved one, those along it), found by Newton on the point where it meets the stop. Seen from
 //! the sensor the pupil hardly moves or shrinks even in lenses of a wide field, so the paraxial exit pupil is a good first
 //! guess; where it fails the ray is walked out from the axis.
 //!
@@ -27,22 +27,40 @@ const TRACES: u32 = 12;
 /// Steps of the walk out from the axis, of the way: the longest and the shortest.
 const STEPS: [f64; 2] = [0.25, 1.0 / 64.0];
 
-/// All rays of one point of the sensor; the coordinates are direction cosines.
+/// All rays of one point of the sensor; the coordinates are direction cosines `(L, M)`, of a sensor that is curved `(L, M) + N ∇z`: what the path changes by where the
+/// point moves along the surface, per mm of its `x` and `y`.
 #[derive(Clone, Copy, Debug)]
-struct SensorPoint(DVec2);
+struct SensorPoint {
+    origin: DVec3,
+    /// `∇z` of the sensor.
+    slope: DVec2,
+}
 
 impl Launching for SensorPoint {
     #[inline]
     fn ray(&self, p: DVec2) -> Ray {
         // Cosines beyond one have no ray: the root is NaN, which no surface is met by.
-        Ray { origin: self.0.extend(0.0), direction: p.extend((1.0 - p.length_squared()).sqrt()) }
+        let direction = if self.slope == DVec2::ZERO {
+            p.extend((1.0 - p.length_squared()).sqrt())
+        } else {
+            // N of |p − N ∇z|² + N² = 1.
+            let (steep, along) = (1.0 + self.slope.length_squared(), p.dot(self.slope));
+            let n = (along + (along * along + steep * (1.0 - p.length_squared())).sqrt()) / steep;
+            (p - n * self.slope).extend(n)
+        };
+        Ray { origin: self.origin, direction }
     }
 
     #[inline]
     fn columns(&self, ray: &Ray) -> [RayDot; 2] {
         let d = ray.direction;
-        [DVec3::new(1.0, 0.0, -d.x / d.z), DVec3::new(0.0, 1.0, -d.y / d.z)]
-            .map(|direction| RayDot { point: DVec3::ZERO, direction })
+        let s = self.slope;
+        // dN = −(L, M)/(N − (L, M)·∇z) dp.
+        let along = d.z - d.truncate().dot(s);
+        [(DVec2::X, d.x), (DVec2::Y, d.y)].map(|(axis, cosine)| {
+            let n = -cosine / along;
+            RayDot { point: DVec3::ZERO, direction: (axis - n * s).extend(n) }
+        })
     }
 }
 
@@ -119,9 +137,15 @@ impl SensorView {
         self.system.surfaces[0].index_after
     }
 
+    fn point(&self, at: DVec2) -> SensorPoint {
+        // Beyond the reach of the sensor's surface they are no numbers, and no ray begins.
+        let sensor = &self.system.surfaces[0];
+        SensorPoint { origin: sensor.point(at), slope: sensor.slope(at) }
+    }
+
     fn guess(&self, at: DVec2, target: DVec2) -> DVec2 {
         let slope = (target - self.paraxial[0] * at) / self.paraxial[1];
-        slope / (1.0 + slope.length_squared()).sqrt()
+        (slope + self.point(at).slope) / (1.0 + slope.length_squared()).sqrt()
     }
 
     /// Direction cosines of the ray from `at` (mm on the sensor) that meets the stop at `target` (mm).
@@ -163,7 +187,7 @@ impl SensorView {
         start: DVec2,
         hits: &mut Vec<Hit>,
     ) -> Result<DVec2, Failure> {
-        let Solved { p, .. } = solve(&self.system, &SensorPoint(at), target, start, hits)?;
+        let Solved { p, .. } = solve(&self.system, &self.point(at), target, start, hits)?;
         Ok(p)
     }
 
@@ -176,7 +200,7 @@ impl SensorView {
         starts: &[DVec2],
         (chief, hits): (DVec2, &[Hit]),
     ) -> Vec<Option<Crossings>> {
-        let point = SensorPoint(at);
+        let point = self.point(at);
         let ray = point.ray(chief);
         let inverse = stop_jacobian(&self.system, &point, &ray, hits).inverse();
         let limit = TOLERANCE * self.system.stop_semi_diameter;
@@ -201,7 +225,7 @@ impl SensorView {
                 }
             }
             tile.launch(&point, &aimed, ray);
-            let (mut heights, mut paths) = (vec![vec![point.0]; targets.len()], [0.0; TILE]);
+            let (mut heights, mut paths) = (vec![vec![at]; targets.len()], [0.0; TILE]);
             tile.pass(1..=self.system.image(), |_, tile| {
                 let all = heights.iter_mut().enumerate();
                 all.for_each(|(lane, h)| h.push(DVec2::new(tile.rays.x[lane], tile.rays.y[lane])));
@@ -220,7 +244,7 @@ impl SensorView {
     /// Where the ray of `cosines` from `at` meets the stop, mm, and how cosines change with that point; zero where that is not known.
     /// `hits` are that ray's.
     pub(crate) fn around(&self, at: DVec2, cosines: DVec2, hits: &[Hit]) -> (DVec2, DMat2) {
-        let point = SensorPoint(at);
+        let point = self.point(at);
         let inverse = stop_jacobian(&self.system, &point, &point.ray(cosines), hits).inverse();
         (hits[self.system.stop].at.point.truncate(), if inverse.is_finite() { inverse } else { DMat2::ZERO })
     }
@@ -230,7 +254,7 @@ impl SensorView {
     /// # Errors
     /// Where it does not get through.
     pub fn follow(&self, at: DVec2, cosines: DVec2, hits: &mut Vec<Hit>) -> Result<SceneRay, Failure> {
-        let last = trace(&self.system, SensorPoint(at).ray(cosines), self.system.image(), hits)?;
+        let last = trace(&self.system, self.point(at).ray(cosines), self.system.image(), hits)?;
         let (p, d) = (last.at.point, last.direction);
         if d.z.is_nan() || d.z <= 0.0 {
             return Err(Failure { cause: Cause::Missed, surface: self.system.image() });
@@ -266,7 +290,7 @@ impl SensorView {
             bars[image].direction.z += bar.path * index * p.z / (d.z * d.z);
             out.indices[image + 1] -= bar.path * p.z / d.z;
         }
-        let point = SensorPoint(at);
+        let point = self.point(at);
         let ray = point.ray(cosines);
         let (_, direction_bar) = trace_vjp(&self.system, hits, &bars, out);
         let onto = |bar: DVec3| {
@@ -368,13 +392,21 @@ mod tests {
     use crate::trace::test_lenses::laikin_100;
     use isoplanat_base::testing::{assert_abs, assert_rel, between, central_difference};
 
-    /// A ray from the scene and the ray from its landing are the same ray, for near and infinite objects.
+    /// A shipped lens with a sensor of this radius, mm.
+    fn curved(name: &str, radius: f64) -> Lens {
+        let curve = |l: &mut crate::lens::Prescription| l.image.curvature = 1.0 / radius;
+        builtin::lens(name).and_then(|lens| lens.changed(curve)).expect("a lens")
+    }
+
+    /// A ray from the scene and the ray from its landing are the same ray, for near and infinite objects, on plane and curved sensors.
     #[test]
     fn rays_from_the_sensor_are_those_from_the_scene() {
         let cases = [
             (builtin::lens("two_element").expect("shipped"), 0.4),
             (builtin::lens("phone").expect("shipped"), 0.6),
             (laikin_100(), 1.1),
+            (curved("two_element", -40.0), 0.4),
+            (curved("cooke_triplet", 35.0), 0.3),
         ];
         for (lens, slope) in cases {
             for vergence in [0.0, 2e-3] {
@@ -399,7 +431,8 @@ mod tests {
                         1e-10,
                         &what,
                     );
-                    assert_abs((p + landed.direction.truncate()).length(), 0.0, 1e-11, &what);
+                    let along = landed.direction.truncate() + landed.direction.z * DVec2::from(landed.at.local.slope);
+                    assert_abs((p + along).length(), 0.0, 1e-11, &what);
                 }
             }
         }
@@ -410,7 +443,8 @@ mod tests {
     fn bundles_are_rays_aimed_one_by_one() {
         let cases = [("two_element", 16.0), ("cooke_triplet", 15.0), ("double_gauss", 9.0), ("phone", 2.8)];
         let shipped = cases.map(|(name, radius)| (builtin::lens(name).expect("shipped"), radius));
-        for (lens, radius) in shipped.into_iter().chain([(laikin_100(), 12.0)]) {
+        let others = [(laikin_100(), 12.0), (curved("cooke_triplet", -30.0), 15.0)];
+        for (lens, radius) in shipped.into_iter().chain(others) {
             let view = SensorView::new(&System::new(&lens, 500.0));
             let at = DVec2::new(0.0, radius);
             let rng = &mut fastrand::Rng::with_seed(2);
@@ -443,8 +477,10 @@ mod tests {
     #[test]
     fn the_pull_back_agrees_with_differences() {
         let rng = &mut fastrand::Rng::with_seed(3);
-        for (name, radius) in [("two_element", 14.0), ("cooke_triplet", 15.0), ("phone", 2.5)] {
-            let lens = builtin::lens(name).expect("shipped");
+        let shipped = [("two_element", 14.0), ("cooke_triplet", 15.0), ("phone", 2.5)];
+        let shipped = shipped.map(|(name, radius)| (builtin::lens(name).expect("shipped"), radius));
+        for (lens, radius) in shipped.into_iter().chain([(curved("cooke_triplet", -30.0), 15.0)]) {
+            let name = &lens.name.clone();
             let (at, unit) = (DVec2::new(0.0, radius), DVec2::new(0.4, -0.6));
             let mut draw = || DVec2::new(between(rng, -1.0, 1.0), between(rng, -1.0, 1.0));
             let heights: Vec<(usize, DVec2)> = (1..lens.surfaces.len()).map(|k| (k, draw())).collect();
