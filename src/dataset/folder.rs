@@ -1,15 +1,17 @@
 //! The folder of a data set: what it says of itself, and whether it is the one that is asked for.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use isoplanat_base::atomic::{self, FolderKind};
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::render::Diffraction;
 use isoplanat_imaging::scene::photos::Photos;
 use isoplanat_optics::lens::prescription;
+use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use super::layout::Layout;
+use super::record::Written;
 use super::settings::Settings;
 
 /// The file that makes a folder a data set.
@@ -43,12 +45,8 @@ pub(super) fn description(s: &Settings, photos: &Photos, layout: &Layout) -> Res
         lenses.push(json!({ "name": name, "sha256": lens.sha256(), "columns": frame.columns, "rows": frame.rows,
             "pitch_mm": frame.pitch_mm, "axis_px": frame.axis_px, "distances_mm": distances }));
     }
-    let mut pictures = Vec::new();
-    for path in photos.paths() {
-        let bytes = std::fs::metadata(path).map_err(|e| Error::reading(path, e))?.len();
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        pictures.push(json!({ "name": name, "bytes": bytes }));
-    }
+    let picture = |path: &PathBuf| Written::at(path, &path.file_name().unwrap_or_default().to_string_lossy());
+    let pictures = photos.paths().par_iter().map(picture).collect::<Result<Vec<_>>>()?;
     let crops = s.crops.map(|c| json!({ "columns": c.size[0], "rows": c.size[1], "of_each": c.count }));
     let mut value = json!({
         "schema": SCHEMA,
@@ -104,7 +102,16 @@ fn same(folder: &Path, text: &str) -> Result<()> {
         return Ok(());
     }
     let parsed = |text: &str| serde_json::from_str::<Value>(text).unwrap_or(Value::Null);
-    let other = difference(&parsed(&there), &parsed(text));
+    let (there, mut now) = (parsed(&there), parsed(text));
+    // Data sets of before know photographs by name and length.
+    if there["photos"].as_array().is_some_and(|all| all.iter().all(|p| p["sha256"].is_null())) {
+        let all = now["photos"].as_array_mut().into_iter().flatten();
+        all.filter_map(Value::as_object_mut).for_each(|p| drop(p.remove("sha256")));
+        if there == now {
+            return Ok(());
+        }
+    }
+    let other = difference(&there, &now);
     let (place, found, now) =
         other.unwrap_or_else(|| (String::new(), "another text".into(), "as it was written".into()));
     let allowed = format!("{now}, as asked for now: a folder holds one data set; another folder, or --force");
@@ -127,7 +134,10 @@ fn difference(there: &Value, now: &Value) -> Option<(String, String, String)> {
             a.keys().chain(more).find_map(|name| inner(name.clone(), (&of(a, name), &of(b, name))))
         }
         (Value::Array(a), Value::Array(b)) if a.len() == b.len() => {
-            a.iter().zip(b).enumerate().find_map(|(k, both)| inner(format!("[{k}]"), both))
+            a.iter().zip(b).enumerate().find_map(|(k, both)| {
+                let same = both.0["name"].as_str().filter(|name| both.1["name"] == *name);
+                inner(same.map_or_else(|| format!("[{k}]"), |name| format!("[{name}]")), both)
+            })
         }
         (Value::Array(a), Value::Array(b)) => Some((String::new(), a.len().to_string(), b.len().to_string())),
         _ => Some((String::new(), there.to_string(), now.to_string())),
@@ -168,7 +178,7 @@ mod tests {
         assert_eq!(difference(&a, &a), None);
         let mut b = a.clone();
         b["lenses"][1]["rows"] = json!(6);
-        assert_eq!(difference(&a, &b), Some(("lenses[1].rows".into(), "5".into(), "6".into())));
+        assert_eq!(difference(&a, &b), Some(("lenses[b].rows".into(), "5".into(), "6".into())));
         b["lenses"] = json!([1]);
         assert_eq!(difference(&a, &b), Some(("lenses".into(), "2".into(), "1".into())));
     }

@@ -162,9 +162,16 @@ impl Written {
     /// # Errors
     /// A file that cannot be read.
     pub(super) fn of(folder: &Path, name: &str) -> Result<Self> {
-        let path = folder.join(name);
-        let failed = |e| Error::reading(&path, e);
-        let mut file = File::open(&path).map_err(failed)?;
+        Self::at(&folder.join(name), name)
+    }
+
+    /// The file of a path, under a name.
+    ///
+    /// # Errors
+    /// As [`Self::of`].
+    pub(super) fn at(path: &Path, name: &str) -> Result<Self> {
+        let failed = |e| Error::reading(path, e);
+        let mut file = File::open(path).map_err(failed)?;
         let (mut hash, mut bytes, mut room) = (Sha256::new(), 0, vec![0; 1 << 20]);
         loop {
             let count = file.read(&mut room).map_err(failed)?;

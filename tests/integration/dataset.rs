@@ -151,6 +151,33 @@ fn parts_make_the_same_bits_as_the_whole() {
     }
 }
 
+/// A photograph is known by what is in it: another of the same name and length is not taken into a data set that was begun. One of before, which does not say what was in
+/// its photographs, goes on.
+#[test]
+fn another_photograph_of_the_same_length_is_refused() {
+    let place = photographs();
+    let common = format!("dataset cooke_triplet --photos photos {FRAME} --min-psnr-db 30 -o data");
+    place.run(&format!("{common} --index 0 --of 3")).done();
+    let photo = place.path("photos/c.npy");
+    let kept = std::fs::read(&photo).expect("reads");
+    let mut other = kept.clone();
+    let last = other.len() - 2;
+    other[last] ^= 1;
+    std::fs::write(&photo, &other).expect("writes");
+    place.run(&common).refused(&["dataset.json", "photos[c.npy].sha256"]);
+    std::fs::write(&photo, &kept).expect("writes");
+    place.run(&common).done();
+    let marker = place.path("data/dataset.json");
+    let mut value: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(&marker).expect("reads")).expect("JSON");
+    for photo in value["photos"].as_array_mut().expect("a list") {
+        assert!(photo.as_object_mut().expect("an object").remove("sha256").is_some());
+    }
+    std::fs::write(&marker, format!("{value:#}\n")).expect("writes");
+    let said = place.run(&format!("{common} --json")).done();
+    assert!(said.contains("\"made\":0"), "{said}");
+}
+
 #[test]
 fn slurms_array_is_a_part() {
     let place = photographs();

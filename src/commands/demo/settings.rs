@@ -50,13 +50,13 @@ impl Settings {
         let mut task = Task::demo();
         task.seed = seed;
         task.pictures.photos = photos;
-        task.budget.steps = Some(2000);
+        task.budget.steps = Some(900);
         let train = &mut task.train;
         train.network.scales = 3;
         // Two networks of equal steps, both from the joint design's: one sees the capture alone, one is guided. Designed with a guided
         // network in the same minutes the lens was worse (benches/results/guided.md).
         train.network.inputs = Inputs::GUIDED;
-        (train.budget.steps, train.budget.constant_epochs, train.budget.decay_epochs) = (Some(1400), 1.0, 2.0);
+        (train.budget.steps, train.budget.constant_epochs, train.budget.decay_epochs) = (Some(650), 1.0, 2.0);
         (train.pairs.count, train.pairs.region_px, train.pairs.patch_px) = (160, 256, 192);
         (train.budget.rate, train.loss.content) = (2e-3, "l1".into());
         // The demo's camera has its sensor's own noise, and no haze.

@@ -16,10 +16,11 @@ const CANDIDATES: usize = 4096;
 const EVEN: f64 = 0.3;
 /// What stands out has so many times the detail of its part's own place.
 const STANDS_OUT: f64 = 30.0;
-/// What stands out counts where it is so many times what the places see.
+/// What stands out counts where it is so many times what the places see, or where so few places see nearly all that is seen: others like them may be missed.
 const MISSED: f64 = 4.0;
-/// Places that look at what stands out in a part: its blur is wider than a probe.
-const SPOTS: usize = 4;
+const FEW: f64 = 64.0;
+/// Half the side of what is looked at about something that stands out as often as at all of its blur: most of what a picture misses of a point is missed there.
+const CORE: usize = 2;
 
 /// Where a probe stands, and what its square counts for in a mean over the picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,7 +37,12 @@ pub struct Stand {
 #[derive(Clone, Copy)]
 struct Candidate {
     scene: usize,
-    region: Region,
+    /// Where its first draw stands; of what stands out anywhere in its blur.
+    place: Option<Region>,
+    /// What it stands for: draws beyond the first stand anywhere in it.
+    within: Region,
+    /// What of that another one stands for.
+    without: Option<Region>,
     /// Energy of the second differences there.
     energy: f64,
     /// How much of a part of the picture it stands for.
@@ -76,6 +82,8 @@ pub struct Candidates {
     /// How many parts there are.
     parts: usize,
     places: Vec<Candidate>,
+    /// The picture, or what of it counts.
+    region: Region,
 }
 
 impl Candidates {
@@ -86,7 +94,7 @@ impl Candidates {
         let all: Vec<(usize, Part)> = (0..scenes.len()).flat_map(of).collect();
         let of = |(scene, part): &(usize, Part)| {
             let energy = detail(scenes[*scene], part.place);
-            Candidate { scene: *scene, region: part.place, energy, share: 1.0 }
+            Candidate { scene: *scene, place: Some(part.place), within: part.whole, without: None, energy, share: 1.0 }
         };
         let mut places: Vec<Candidate> = all.par_iter().map(of).collect();
         let peaks: Vec<Option<Peak>> =
@@ -96,23 +104,30 @@ impl Candidates {
         let blurred = (2 * reach + SIDE).pow(2) as f64;
         let taken = |k: usize| (blurred / (all[k].1.whole.rows * all[k].1.whole.cols) as f64).min(0.5);
         let missed: f64 = peaks.iter().enumerate().filter_map(|(k, p)| Some(taken(k) * p.as_ref()?.energy)).sum();
-        if missed > MISSED * seen {
-            let mut rng = fastrand::Rng::with_seed(11);
+        let squares: f64 = places.iter().map(|c| c.energy * c.energy).sum();
+        if missed > MISSED * seen || missed > 0.0 && seen * seen < FEW * squares {
             for (k, peak) in peaks.iter().enumerate() {
                 let Some(Peak { at, energy }) = *peak else { continue };
-                let (scene, share) = (places[k].scene, taken(k) / SPOTS as f64);
-                places[k].share -= taken(k);
-                let mut off = || rng.isize(-reach.cast_signed()..=reach.cast_signed());
-                for _ in 0..SPOTS {
-                    let region = placed([at[0] + off(), at[1] + off()], region);
-                    places.push(Candidate { scene, region, energy, share });
+                let (scene, share) = (places[k].scene, taken(k));
+                places[k].share -= share;
+                let about = |margin: usize| {
+                    Region { row: at[0], col: at[1], rows: 1, cols: 1 }.grown(margin).common(region)
+                };
+                let (core, whole) = (about(CORE), about((reach + SIDE / 2).max(CORE)));
+                let of_core = (core.rows * core.cols) as f64 / (whole.rows * whole.cols) as f64;
+                // As many draws for the core as for what is around it.
+                let halves = [(core, of_core, None), (whole, 1.0 - of_core, Some(core))];
+                for (within, part, without) in halves.into_iter().filter(|(_, part, _)| *part > 0.0) {
+                    let energy = 0.5 * energy / part;
+                    places.push(Candidate { scene, place: None, within, without, energy, share: share * part });
                 }
             }
         }
-        Self { parts: all.len(), places }
+        Self { parts: all.len(), places, region }
     }
 
-    /// `count` of them, drawn by energy (and evenly, for a part), and weighed by how much likelier they were drawn than evenly.
+    /// `count` of them, drawn by energy (and evenly, for a part), and weighed by how much likelier they were drawn than evenly. One that is drawn again stands elsewhere in
+    /// what it stands for: the same pixels twice tell nothing more.
     pub fn drawn(&self, count: usize) -> Vec<Stand> {
         let all = self.parts as f64;
         let total = self.places.iter().map(|c| c.energy * c.share).sum::<f64>();
@@ -121,16 +136,47 @@ impl Candidates {
         };
         // Systematic draws along the running sum.
         let mut out = Vec::with_capacity(count);
+        let mut spread = Spread::default();
         let (mut sum, mut next) = (0.0, 0.5 / count as f64);
         for c in &self.places {
             let p = density(c);
             sum += p;
+            let mut place = c.place;
             while sum >= next && out.len() < count {
-                out.push(Stand { scene: c.scene, region: c.region, weight: c.share / (all * p) });
+                let region = place.take().unwrap_or_else(|| placed(spread.next(c.within, c.without), self.region));
+                out.push(Stand { scene: c.scene, region, weight: c.share / (all * p) });
                 next += 1.0 / count as f64;
             }
         }
         out
+    }
+}
+
+/// Places that fill regions evenly, however many are taken: the additive recurrence of the plastic number (M. Roberts, 2018).
+#[derive(Default)]
+struct Spread {
+    taken: u32,
+}
+
+impl Spread {
+    const STEPS: [f64; 2] = [0.754_877_666_246_693, 0.569_840_290_998_053];
+
+    /// A pixel of `within` that does not lie in `without`.
+    #[expect(clippy::cast_precision_loss, clippy::cast_possible_truncation, reason = "raster sizes")]
+    fn next(&mut self, within: Region, without: Option<Region>) -> [isize; 2] {
+        loop {
+            self.taken += 1;
+            let [u, v] = Self::STEPS.map(|step| (f64::from(self.taken) * step).fract());
+            let at = [(within.row, within.rows, u), (within.col, within.cols, v)]
+                .map(|(first, length, share)| first + (share * length as f64) as isize);
+            let holds = |r: Region| {
+                let along = |at: isize, first: isize, length: usize| (first..first + length.cast_signed()).contains(&at);
+                along(at[0], r.row, r.rows) && along(at[1], r.col, r.cols)
+            };
+            if !without.is_some_and(holds) {
+                return at;
+            }
+        }
     }
 }
 
@@ -242,7 +288,7 @@ mod tests {
         assert!((12..=20).contains(&count), "{count} of 24 near {at:?}");
         let places: std::collections::BTreeSet<_> =
             stands.iter().filter(near).map(|s| (s.region.row, s.region.col)).collect();
-        assert_eq!(places.len(), SPOTS);
+        assert!(places.len() + 3 > count, "{} places of {count} draws", places.len());
         // What they count for is what they take of the frame, which is not more than their blur.
         let weight: f64 = stands.iter().filter(near).map(|s| s.weight / 24.0).sum();
         assert!(weight < 1.3 * (2.0 * reach as f64 + 3.0).powi(2) / (900.0 * 600.0), "{weight:e}");
@@ -254,6 +300,9 @@ mod tests {
         ] {
             let (plain, _) = of(texture);
             assert_eq!(plain.places.len(), plain.parts, "{what}");
+            // Where no part is drawn twice each is looked at where its detail was seen.
+            let first = plain.drawn(24).iter().all(|s| plain.places.iter().any(|c| c.place == Some(s.region)));
+            assert!(first, "{what}");
         }
     }
 }

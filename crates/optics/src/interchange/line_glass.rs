@@ -7,7 +7,7 @@
 //! up from another line or may be substituted, the line keeps the numbers of what stood there before; 1.5168 and 64.17, those of N-BK7, are what it keeps most
 //! often. Such numbers are not held against a glass; where they differ that is told. They still serve as a model glass when that is asked for.
 
-use super::model_glass::{LINES_NM, cauchy_of_lines, fictitious};
+use super::model_glass::{LINES_NM, cauchy_of_lines, fictitious, lines_of};
 use crate::lens::Medium;
 use crate::lens::catalogue::{Glasses, MODEL, Naming};
 use isoplanat_base::error::{Error, Result};
@@ -71,8 +71,7 @@ impl OfLine {
         let known = |m: &Medium| Some(m.index(LINES_NM[0])).filter(|n| n.is_finite());
         let agrees = |m: &Medium| known(m).is_none_or(|n| (n - n_d).abs() <= SAME_INDEX);
         let other_abbe = |m: &Medium| {
-            let [d, f, c] = LINES_NM.map(|nm| m.index(nm));
-            v_d > 0.0 && ((d - 1.0) / (f - c) / v_d - 1.0).abs() > SAME_ABBE
+            v_d > 0.0 && (lines_of(m).1 / v_d - 1.0).abs() > SAME_ABBE
         };
         let mut alike: Vec<&(&str, &Medium)> = found.iter().filter(|(_, m)| agrees(m)).collect();
         alike.sort_by_key(|(c, m)| (other_abbe(m), rank(c).unwrap_or(usize::MAX)));
@@ -115,8 +114,7 @@ impl OfLine {
                 "its n_d is {index:.6}; the line's {n_d} is taken as left from another glass (--glass-for {name}={MODEL} takes it)"
             ));
         }
-        let [d, f, c] = LINES_NM.map(|nm| medium.index(nm));
-        let abbe = (d - 1.0) / (f - c);
+        let (d, abbe) = lines_of(medium);
         let stated = self.lines.filter(|(n, v)| *v > 0.0 && (n - d).abs() <= SAME_INDEX);
         if let Some((_, v_d)) = stated.filter(|(_, v)| (abbe / v - 1.0).abs() > SAME_ABBE) {
             told.push(format!("its V_d is {abbe:.2}, the line's {v_d} is not used"));

@@ -37,7 +37,7 @@ pub(super) fn read(text: &str, file: &str, glasses: &Glasses, reading: Reading) 
             if matches!(numbers.aperture, Aperture::FNumber(_)) && numbers.is_powerless() || !asked.is_finite() {
                 let found = "left out, and no size by `aperture`, since the lens has no power";
                 let place = Location::surface(stop).key("semi_diameter_mm");
-                return Err(Error::bad(file, place, found, "a clear semi-diameter, or stop_semi_diameter_mm"));
+                return Err(Error::bad(file, place, found, "a clear semi-diameter, or stop_semi_diameter_mm; `optimize` takes a start with --constraint focal_length=.."));
             }
             numbers.surfaces[stop].semi_diameter = asked;
         }

@@ -47,8 +47,7 @@ impl Reader<'_> {
                 Ok(())
             }
             Subject::Object if keyword == "GLA" => {
-                let name = rest.words.first().ok_or_else(|| line.refused("no glass", "its name"))?;
-                self.draft.object_medium = self.medium(name);
+                self.draft.object_medium = self.glass(rest)?;
                 Ok(())
             }
             Subject::Image if keyword == "THI" => {
@@ -81,6 +80,12 @@ impl Reader<'_> {
             )),
             Subject::Object | Subject::Image | Subject::None => self.read_over(keyword, line),
         }
+    }
+
+    /// The medium that `GLA` names.
+    fn glass(&self, line: &Line) -> Result<Stated> {
+        let name = line.words.first().ok_or_else(|| line.refused("no glass", "its name"))?;
+        Ok(self.medium(name))
     }
 
     /// What `S2`, `S2..4`, `SA`, `SO`, `SI`, `SI-1` and `SS` name; `None` for another word.
@@ -118,8 +123,7 @@ impl Reader<'_> {
     fn of_one(&mut self, i: usize, keyword: &str, line: &Line) -> Result<()> {
         let unit = self.scale;
         if keyword == "GLA" {
-            let name = line.words.first().ok_or_else(|| line.refused("no glass", "its name"))?;
-            self.draft.surfaces[i].medium = self.medium(name);
+            self.draft.surfaces[i].medium = self.glass(line)?;
             return Ok(());
         }
         if keyword == "PIM" {
