@@ -8,6 +8,7 @@ use isoplanat::analysis::curves::over_field;
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::interchange::{Form, text_of};
+use isoplanat::lens::paraxial::first_order;
 use isoplanat::lens::{Lens, prescription};
 use isoplanat::optimize::pool::Pool;
 use isoplanat::optimize::search::{Plan, Progress, search};
@@ -123,6 +124,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     text_of(&lens, form, crate::glasses::all())?;
     let problem = spec.problem(&lens, &file)?;
     spec.notes(&lens, &file)?.iter().for_each(|note| crate::tell!("note: {file}: {note}"));
+    if problem.merit.quality == Quality::Wavefront && args.search.is_none() {
+        near_focus(&lens)?;
+    }
     let limits = Limits { iterations: args.iterations, until, ..Limits::default() };
     // Ctrl-C asks for an end; the best lens so far is written.
     let asked = isoplanat_program::signals::asked();
@@ -178,6 +182,31 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     doubts(&problem, &outcome).iter().for_each(|doubt| crate::tell!("warning: {doubt}"));
     let unit = if problem.merit.quality == Quality::Wavefront { "path difference" } else { "spot" };
     if args.common.json { json(&outcome, &found, out) } else { text(args, &outcome, &found, unit, out) }
+}
+
+/// Refuses a start so far out of focus that path differences, which are taken to spheres far away, do not tell it: of parallel light they are none. Nearer ones are told.
+fn near_focus(lens: &Lens) -> anyhow::Result<()> {
+    /// Distance from focus over that of the exit pupil from the sensor, beyond which a start is refused, and told.
+    const REFUSED: f64 = 0.3;
+    const TOLD: f64 = 0.03;
+    let first = first_order(lens, lens.wavelengths.primary_nm);
+    let sensor = lens.surfaces.last().map_or(0.0, |s| s.thickness);
+    let off = first.paraxial_image_distance - sensor;
+    // A pupil at infinity: of spheres that are planes nothing is left out.
+    let share = (off / (sensor - first.exit_pupil_position)).abs();
+    let words = format!("{} mm out of focus on the axis", significant(off, 4));
+    if share.is_nan() || share > REFUSED {
+        let allowed = "a start near its focus: optimise by spots first (--quality spot), or `isoplanat focus`";
+        return Err(Error::bad(lens.file(), "--quality wavefront", words, allowed).into());
+    }
+    if share > TOLD {
+        crate::tell!(
+            "note: {}: {words}: path differences are off by about {} % there",
+            lens.file(),
+            significant(100.0 * share, 2)
+        );
+    }
+    Ok(())
 }
 
 /// What whoever takes the lens should know: that it is no better, which constraints it breaks, and that its distortion grew where nothing holds it.

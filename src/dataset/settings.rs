@@ -187,6 +187,9 @@ impl Settings {
         let judged = share > 0.0 && self.diffraction != Diffraction::Off;
         refuse(!judged, "--diffraction", format!("not off, with --judge {share}"), "off: rays judge")?;
         refuse((4..=1 << 20).contains(&samples), "--judge-samples", samples.to_string(), "4 to 1048576 rays a pixel")?;
+        if share > 0.0 {
+            self.lenses.iter().try_for_each(|(_, lens)| lens.require_plane_image())?;
+        }
         let shard = self.shard.unwrap_or(1);
         refuse((1..=1 << 20).contains(&shard), "--shard", shard.to_string(), "1 to 1048576 pairs")?;
         for lens in 0..self.lenses.len() {

@@ -60,6 +60,8 @@ pub(crate) struct DesignPage {
     pub variables: Vec<String>,
     /// The history.
     pub moments: Vec<Moment>,
+    /// Step of the one that the result is of.
+    pub result: Option<usize>,
     /// Loss over the steps.
     pub loss: Vec<[f64; 2]>,
     /// Movement of the lens's rays a step, µm.
@@ -162,7 +164,8 @@ impl DesignPage {
     }
 
     fn numbers(&self, page: &mut Page) {
-        let (Some(first), Some(last)) = (self.moments.first(), self.moments.last()) else { return };
+        let result = self.moments.iter().rfind(|m| Some(m.step) == self.result).or(self.moments.last());
+        let (Some(first), Some(last)) = (self.moments.first(), result) else { return };
         page.section("What moved");
         page.paragraph(
             "Gradient: its mean between two judgements in its own standard errors, when the lens last moved. Patches are a sample; \
@@ -201,6 +204,7 @@ mod tests {
             lenses: [None, None],
             variables: vec!["surface[0].conic".into()],
             moments: vec![moment(10), moment(20)],
+            result: Some(20),
             loss: vec![[10.0, 0.1], [20.0, 0.05]],
             moved_um: vec![[10.0, 1.0]],
             signal: vec![[10.0, 0.3]],

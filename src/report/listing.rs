@@ -306,7 +306,10 @@ impl fmt::Display for Listing<'_> {
         writeln!(f, "aperture: {aperture}; sensor {} × {} pixels of {} µm\n", s.columns, s.rows, s.pitch_um)?;
         if !lens.image.is_plane() {
             let [radius, conic] = [lens.image.curvature.recip(), lens.image.conic].map(|x| significant(x, 7));
-            writeln!(f, "the sensor is curved: radius {radius} mm, conic constant {conic}; its pixels are counted by x and y\n")?;
+            writeln!(
+                f,
+                "the sensor is curved: radius {radius} mm, conic constant {conic}; its pixels are counted by x and y\n"
+            )?;
         }
         writeln!(f, "{}\n{}", self.first_order_table(), self.surface_table())?;
         writeln!(f, "{}", self.media_table())?;

@@ -100,9 +100,10 @@ struct Axis {
 }
 
 impl Plot {
-    /// Whether it says more than a number in a sentence would: two points or more are drawn.
+    /// Whether it says more than numbers in a sentence would: points at two places or more are drawn.
     pub(crate) fn is_telling(&self) -> bool {
-        self.series.iter().map(|s| self.shown(s).len()).sum::<usize>() > 1
+        let mut places = self.series.iter().flat_map(|s| self.shown(s)).map(|p| p[0]);
+        places.next().is_some_and(|first| places.any(|x| x != first))
     }
 
     /// The drawing; without a single point it shows its axes and says so.

@@ -118,15 +118,21 @@ fn plates_with_an_f_number_become_a_lens() {
         if curved { "radius_mm = inf".to_owned() } else { line.to_owned() }
     };
     let lines: Vec<String> = text.lines().filter(|l| !l.starts_with("semi_diameter_mm")).map(plane).collect();
-    let (head, rest) = lines.join("\n").split_once("[aperture]\n").map(|(a, b)| (a.to_owned(), b.to_owned())).expect("a table");
+    let (head, rest) =
+        lines.join("\n").split_once("[aperture]\n").map(|(a, b)| (a.to_owned(), b.to_owned())).expect("a table");
     let (_, behind) = rest.split_once('\n').expect("one line");
     place.write("plates.toml", format!("{head}[aperture]\nf_number = 4.0\n{behind}"));
     let ran = place.run("check plates.toml");
     assert!(ran.code == 2 && ran.err.contains("no power") && ran.err.lines().count() == 1, "{}", ran.err);
     let ran = place.run("optimize plates.toml -o a.toml");
     assert!(ran.code == 2 && !place.path("a.toml").exists(), "{}", ran.err);
-    let ran = place.run("optimize plates.toml -o lens.toml --constraint focal_length=50 --constraint track=..60 --search 8");
+    let ran =
+        place.run("optimize plates.toml -o lens.toml --constraint focal_length=50 --constraint track=..60 --search 8");
     assert!(ran.code == 0 && ran.err.contains("an entrance pupil of 12.5 mm"), "{}", ran.err);
+    let ran = place.run("optimize plates.toml -o b.toml --constraint focal_length=50 --quality wavefront");
+    assert!(ran.code == 2 && ran.err.contains("out of focus on the axis"), "{}", ran.err);
+    let ran = place.run("optimize lens.toml -o c.toml --quality wavefront --iterations 3");
+    assert_eq!(ran.code, 0, "{}", ran.err);
     let lens = json(&place, "inspect lens.toml --json");
     assert!((number(&lens, "effective_focal_length_mm") - 50.0).abs() < 1e-3, "{lens}");
     assert!((number(&lens, "f_number") - 4.0).abs() < 1e-3, "{lens}");
@@ -155,4 +161,19 @@ fn a_curved_sensor_is_landed_on() {
     place.run("render curved.zmx dead_leaves:1 -o c.png --frame-rows 64").done();
     let ran = place.run("capture curved.zmx dead_leaves:1 -o c.dng --samples 1");
     assert!(ran.code == 2 && ran.err.contains("a curved sensor"), "{}", ran.err);
+    // Nothing is written before that is known.
+    std::fs::create_dir(place.path("photos")).expect("made");
+    std::fs::copy(place.path("c.png"), place.path("photos/c.png")).expect("copied");
+    let ran = place.run("dataset curved.zmx --photos photos --columns 48 --rows 32 -o set --diffraction off --judge 1");
+    assert!(ran.code == 2 && ran.err.contains("a curved sensor") && !place.path("set").exists(), "{}", ran.err);
+    // A frame beyond the sensor's own form.
+    let ran = place.run("psf curved.zmx --form heights --columns 40000 --rows 40000 -o h.npz");
+    assert!(ran.code == 2 && ran.err.contains("where the image surface ends"), "{}", ran.err);
+    let page = place.run("report curved.zmx -o page.html");
+    assert_eq!(page.code, 0, "{}", page.err);
+    assert!(
+        std::fs::read_to_string(place.path("page.html"))
+            .expect("written")
+            .contains("The sensor is curved: radius -50 mm")
+    );
 }

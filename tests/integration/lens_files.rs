@@ -383,7 +383,11 @@ fn spoilt_files_are_read_or_refused() {
             for _ in 0..rng.usize(1..4) {
                 spoilt.insert(rng.usize(0..=spoilt.len()), lines[rng.usize(0..lines.len())]);
             }
-            let reading = Reading { strict: rng.bool(), configuration: [None, Some(rng.usize(0..4))][rng.usize(0..2)], ..Reading::default() };
+            let reading = Reading {
+                strict: rng.bool(),
+                configuration: [None, Some(rng.usize(0..4))][rng.usize(0..2)],
+                ..Reading::default()
+            };
             if let Err(error) = parse_as(&spoilt.join("\n"), Form::Zmx, "a.zmx", Glasses::shipped(), reading) {
                 let text = error.to_string();
                 assert!(text.contains("a.zmx") && !text.contains('\n'), "{text}");

@@ -268,6 +268,32 @@ impl Lens {
         ))
     }
 
+    /// Refuses a curved sensor, for work by rays that start on a plane one.
+    #[doc(hidden)]
+    pub fn require_plane_image(&self) -> Result<()> {
+        if self.image.is_plane() {
+            return Ok(());
+        }
+        let allowed = "a plane sensor for rays that start there; spot, mtf, psf and render take curved ones";
+        Err(Error::bad(self.file(), "image", "a curved sensor", allowed))
+    }
+
+    /// Refuses places of the sensor, so far from the axis, that its form does not have.
+    #[doc(hidden)]
+    pub fn require_reach(&self, radius_mm: f64) -> Result<()> {
+        let reach = self.image.shape().reach();
+        if radius_mm <= reach {
+            return Ok(());
+        }
+        let found = format!("a frame whose corner lies {radius_mm:.4} mm off the axis");
+        Err(Error::bad(
+            self.file(),
+            "image",
+            found,
+            format!("a corner within {reach:.4} mm, where the image surface ends"),
+        ))
+    }
+
     /// This lens with other numbers.
     ///
     /// # Errors

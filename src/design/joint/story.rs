@@ -181,6 +181,7 @@ pub(in crate::design) fn page(
         lenses: [view(first), view(lens)],
         variables: names,
         moments,
+        result: told.map(|j| j.step),
         loss: over(|e| e.loss),
         moved_um: moving(|e| e.moved_um),
         signal: moving(|e| e.signal),

@@ -116,6 +116,12 @@ impl Pages<'_> {
                 Some(Fact { value: if passes { "passed" } else { "failed" }.into(), label: "numerical check".into() }),
             ];
             page.facts(&facts.into_iter().flatten().collect::<Vec<_>>());
+            if !r.lens.image.is_plane() {
+                let [radius, conic] = [r.lens.image.curvature.recip(), r.lens.image.conic].map(|x| significant(x, 7));
+                page.paragraph(&format!(
+                    "The sensor is curved: radius {radius} mm, conic constant {conic}. Places on it count by x and y; what is said of the image plane is said of it."
+                ));
+            }
             if !r.missing.is_empty() {
                 page.paragraph("Not shown, or not whole:");
                 page.list(&r.missing);

@@ -79,10 +79,7 @@ impl RearView {
     /// As [`Self::new`], but for light on the axis.
     pub(super) fn without_white(lens: &Lens, density: &SpectralDensity, radius_mm: f64) -> Result<Self> {
         density.require(lens)?;
-        if !lens.image.is_plane() {
-            let allowed = "a plane sensor for rays that start there; spot, mtf, psf and render take curved ones";
-            return Err(Error::bad(lens.file(), "image", "a curved sensor", allowed));
-        }
+        lens.require_plane_image()?;
         let system = System::new(lens, lens.wavelengths.primary_nm).reversed();
         let rear = &system.surfaces[1];
         let upright = rear.motion.is_none() && rear.shape.is_symmetric();

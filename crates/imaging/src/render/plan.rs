@@ -185,6 +185,7 @@ pub fn optics(
     (degree, illuminations): (usize, u32),
 ) -> Result<(Optics, Tolerance)> {
     let radii_mm = vec![0.0, frame.max_radius_mm()];
+    lens.require_reach(frame.max_radius_mm())?;
     let tolerance = Tolerance { landing_mm: LANDING_ERROR_PX * frame.pitch_mm, weight: WEIGHT_ERROR };
     let spec = OpticsSpec {
         radii_mm,

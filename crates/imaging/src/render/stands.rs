@@ -110,9 +110,8 @@ impl Candidates {
                 let Some(Peak { at, energy }) = *peak else { continue };
                 let (scene, share) = (places[k].scene, taken(k));
                 places[k].share -= share;
-                let about = |margin: usize| {
-                    Region { row: at[0], col: at[1], rows: 1, cols: 1 }.grown(margin).common(region)
-                };
+                let about =
+                    |margin: usize| Region { row: at[0], col: at[1], rows: 1, cols: 1 }.grown(margin).common(region);
                 let (core, whole) = (about(CORE), about((reach + SIDE / 2).max(CORE)));
                 let of_core = (core.rows * core.cols) as f64 / (whole.rows * whole.cols) as f64;
                 // As many draws for the core as for what is around it.
@@ -170,7 +169,8 @@ impl Spread {
             let at = [(within.row, within.rows, u), (within.col, within.cols, v)]
                 .map(|(first, length, share)| first + (share * length as f64) as isize);
             let holds = |r: Region| {
-                let along = |at: isize, first: isize, length: usize| (first..first + length.cast_signed()).contains(&at);
+                let along =
+                    |at: isize, first: isize, length: usize| (first..first + length.cast_signed()).contains(&at);
                 along(at[0], r.row, r.rows) && along(at[1], r.col, r.cols)
             };
             if !without.is_some_and(holds) {

@@ -79,7 +79,10 @@ fn a_ball_sees_the_same_everywhere() {
         for focus in [rows[0].sagittal, rows[1].sagittal, rows[1].tangential] {
             assert_abs(focus, 0.0, 1e-6, "focus");
         }
-        assert_abs(rows[1].chief_angle_deg, angle, 1e-9, "chief ray's angle against the axis");
+        assert_abs(rows[1].chief_angle_deg, 0.0, 1e-9, "chief ray's angle on the sensor");
+        let plane = lens.changed(|l| l.image = ImageSurface::default()).expect("a lens");
+        let on_plane = curves::over_field(&plane, &[NM], &[angle])[0].chief_angle_deg;
+        assert_abs(on_plane, angle, 1e-9, "chief ray's angle on a plane");
         // On the plane through the vertex neither is there.
         let flat = lens.changed(|l| l.image = ImageSurface::default()).expect("a lens");
         let row = &curves::over_field(&flat, &[NM], &[angle])[0];
@@ -162,14 +165,19 @@ fn curved_images_are_written_and_read() {
     for form in [Form::Zmx, Form::Seq] {
         let (text, _) = interchange::text_of(&lens, form, glasses).expect("written");
         let read = interchange::parse(&text, form, "again", glasses).expect("read");
-        assert!(read.notes.iter().any(|n| n.contains("the image is curved, with a radius of -37 mm")), "{:?}", read.notes);
+        assert!(
+            read.notes.iter().any(|n| n.contains("the image is curved, with a radius of -37 mm")),
+            "{:?}",
+            read.notes
+        );
         for (a, b) in landings(&read.lens).iter().zip(&expected) {
             assert_abs((*a - *b).length(), 0.0, 1e-9, &format!("{form:?}"));
         }
     }
     let error = flat.changed(|l| l.image = ImageSurface { curvature: 1.0 / 20.0, conic: 0.0 }).expect_err("too small");
     assert!(error.to_string().contains("image: a sensor whose corner"), "{error}");
-    let error = prescription::from_toml(&text.replace("conic = -0.4", "conic = nan"), "a.toml").expect_err("not a number");
+    let error =
+        prescription::from_toml(&text.replace("conic = -0.4", "conic = nan"), "a.toml").expect_err("not a number");
     assert!(error.to_string().contains("image.conic: NaN"), "{error}");
     // A ray that lands is on the surface.
     let system = System::new(&lens, NM);

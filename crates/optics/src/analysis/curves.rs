@@ -39,7 +39,7 @@ pub struct FieldRow {
     pub distortion_of_focal_length: f64,
     /// Height of each wavelength's chief ray less that of the primary one.
     pub lateral_colour: Vec<f64>,
-    /// Angle between the chief ray and the axis at the sensor, degrees; positive where it runs outwards.
+    /// Angle between the chief ray and the sensor's normal, degrees; positive where it runs outwards. On a plane sensor that is its angle to the axis.
     pub chief_angle_deg: f64,
     /// Part of the stop that no clear aperture covers.
     pub open_part: f64,
@@ -60,9 +60,9 @@ pub fn object(lens: &Lens, angle_deg: f64) -> ObjectPoint {
     ObjectPoint::in_field(lens, angle_deg.to_radians(), FRAC_PI_2)
 }
 
-/// The slope against the axis of a ray whose slope by the moving image surface is `slope`, where that surface has the slopes `steep`.
-fn axial_slope(slope: DVec2, steep: DVec2) -> DVec2 {
-    slope / (1.0 + slope.dot(steep))
+/// Angle to the sensor's normal, in the meridian, of a ray that moves by `slope` along a sensor that moves by 1, which has the slope `steep` there.
+fn incidence(slope: f64, steep: f64) -> f64 {
+    (slope / (1.0 + slope * steep)).atan() + steep.atan()
 }
 
 /// Focus of two rays, mm behind the image surface, along `axis`.
@@ -131,7 +131,7 @@ pub fn over_field(lens: &Lens, wavelengths_nm: &[f64], angles_deg: &[f64]) -> Ve
             distortion_percent: if angle == 0.0 { 0.0 } else { against(scale, angle, height) },
             distortion_of_focal_length: against(focal, angle, height),
             lateral_colour: systems.iter().map(colour).collect(),
-            chief_angle_deg: axial_slope(at.slope, primary.image_surface().slope(at.at)).y.atan().to_degrees(),
+            chief_angle_deg: incidence(at.slope.y, primary.image_surface().slope(at.at).y).to_degrees(),
             open_part,
         })
     };

@@ -134,7 +134,8 @@ impl Draft {
     pub(super) fn curve_image(&mut self, place: &Location, image: ImageSurface) {
         self.image = image;
         if !image.is_plane() {
-            let conic = if image.conic == 0.0 { String::new() } else { format!(" and a conic constant of {}", image.conic) };
+            let conic =
+                if image.conic == 0.0 { String::new() } else { format!(" and a conic constant of {}", image.conic) };
             self.notes.push(format!(
                 "{place}: the image is curved, with a radius of {} mm{conic}: rays land on it, and places on it are told by x and y",
                 image.curvature.recip()

@@ -70,9 +70,7 @@ impl OfLine {
         // An index outside of what the catalogue knows says nothing.
         let known = |m: &Medium| Some(m.index(LINES_NM[0])).filter(|n| n.is_finite());
         let agrees = |m: &Medium| known(m).is_none_or(|n| (n - n_d).abs() <= SAME_INDEX);
-        let other_abbe = |m: &Medium| {
-            v_d > 0.0 && (lines_of(m).1 / v_d - 1.0).abs() > SAME_ABBE
-        };
+        let other_abbe = |m: &Medium| v_d > 0.0 && (lines_of(m).1 / v_d - 1.0).abs() > SAME_ABBE;
         let mut alike: Vec<&(&str, &Medium)> = found.iter().filter(|(_, m)| agrees(m)).collect();
         alike.sort_by_key(|(c, m)| (other_abbe(m), rank(c).unwrap_or(usize::MAX)));
         let Some((_, medium)) = alike.first() else {

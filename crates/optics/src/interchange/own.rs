@@ -37,7 +37,12 @@ pub(super) fn read(text: &str, file: &str, glasses: &Glasses, reading: Reading) 
             if matches!(numbers.aperture, Aperture::FNumber(_)) && numbers.is_powerless() || !asked.is_finite() {
                 let found = "left out, and no size by `aperture`, since the lens has no power";
                 let place = Location::surface(stop).key("semi_diameter_mm");
-                return Err(Error::bad(file, place, found, "a clear semi-diameter, or stop_semi_diameter_mm; `optimize` takes a start with --constraint focal_length=.."));
+                return Err(Error::bad(
+                    file,
+                    place,
+                    found,
+                    "a clear semi-diameter, or stop_semi_diameter_mm; `optimize` takes a start with one focal length, such as --constraint focal_length=50",
+                ));
             }
             numbers.surfaces[stop].semi_diameter = asked;
         }
@@ -113,7 +118,8 @@ mod tests {
             let without: String =
                 text.lines().filter(|l| !l.starts_with("semi_diameter_mm")).map(|l| format!("{l}\n")).collect();
             assert_ne!(text, without);
-            let read = read(&without, "own.toml", Glasses::shipped(), Reading::default()).unwrap_or_else(|e| panic!("{name}: {e}"));
+            let read = read(&without, "own.toml", Glasses::shipped(), Reading::default())
+                .unwrap_or_else(|e| panic!("{name}: {e}"));
             let told = format!("{0} of {0} clear", lens.surfaces.len());
             assert!(read.notes[0].contains(&told), "{name}: {:?}", read.notes);
             let size = |l: &Lens| paraxial::stop_semi_diameter(l);

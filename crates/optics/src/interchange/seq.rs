@@ -53,6 +53,8 @@ struct Reader<'a> {
     image: Option<f64>,
     /// Where that statement stands.
     image_at: Location,
+    /// Whether terms of its form were told.
+    image_terms: bool,
     /// Wavelengths of private glasses while they are being defined, and the glasses.
     private: Option<Vec<f64>>,
     glasses: Vec<(String, Stated)>,
@@ -83,6 +85,7 @@ pub(super) fn read(text: &str, file: &str, glasses: &Glasses, reading: Reading) 
         object: None,
         image: None,
         image_at: Location::called("the image"),
+        image_terms: false,
         private: None,
         glasses: Vec::new(),
         solved: Vec::new(),

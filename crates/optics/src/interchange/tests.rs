@@ -2,7 +2,7 @@
 
 use super::{Form, Imported, Reading, load, parse, parse_as, text_of};
 use crate::lens::catalogue::{Glasses, Naming};
-use crate::lens::{Lens, builtin, paraxial};
+use crate::lens::{ImageSurface, Lens, builtin, paraxial};
 use isoplanat_base::testing::{assert_abs, assert_rel, shared};
 
 /// Focal length and sensor distance, mm.
@@ -83,9 +83,17 @@ fn statements_name_their_surface() {
         }
     }
     assert_eq!(read(&body("44.0", "STO S2\n")).lens.stop, 1);
-    for (more, why) in
-        [("THI S4 1\n", "S1 to S2"), ("THI S2\n", "numbers"), ("CUY SO 0.1\n", "curved"), ("CUF S1 0.1\n", "Fresnel")]
-    {
+    let told =
+        seq(&format!("{}ASP\nK 0.3\nA 1e-6\n", body("44.0", "RDY SI -70\n")), Reading::default()).expect("reads");
+    assert_eq!(told.lens.image, ImageSurface { curvature: -1.0 / 70.0, conic: 0.3 });
+    assert!(told.notes.iter().any(|n| n.contains("terms of the image's form")), "{:?}", told.notes);
+    for (more, why) in [
+        ("THI S4 1\n", "S1 to S2"),
+        ("THI S2\n", "numbers"),
+        ("CUY SO 0.1\n", "curved"),
+        ("CUF S1 0.1\n", "Fresnel"),
+        ("ADE SI 5\n", "ADE 5"),
+    ] {
         assert!(refusal(&body("44.0", more)).contains(why), "{more}");
     }
 }
@@ -178,7 +186,9 @@ fn unknown_statements() {
     let text = format!("RDM\nFOO 1 2\n{HEAD}S 40 3 NBK7_SCHOTT\nSTO\nS -60 45\nSI 0 0\nBAR 3\n");
     let notes = read(&text).notes;
     assert!(notes.iter().any(|n| n.contains("FOO (line 2)") && n.contains("BAR")), "{notes:?}");
-    assert!(seq(&text, Reading { strict: true, ..Reading::default() }).expect_err("strict").to_string().contains("FOO"));
+    assert!(
+        seq(&text, Reading { strict: true, ..Reading::default() }).expect_err("strict").to_string().contains("FOO")
+    );
     assert!(refusal(&text.replace("STO\n", "STO\nBAZ 1\n")).contains("BAZ"));
     assert!(refusal("FOO 1\nRDM\n").contains("CODE V sequence"));
 }

@@ -60,7 +60,8 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
     let distance = if object.is_finite() { plain(object) } else { "INFINITY".into() };
     let _ = write!(out, "SURF 0\n  TYPE STANDARD\n  CURV 0\n  DISZ {distance}\n{object_glass}{body}");
     let image = lens.image;
-    let _ = write!(out, "SURF {}\n  TYPE STANDARD\n  CURV {}\n  DISZ 0\n", lens.surfaces.len() + 1, plain(image.curvature));
+    let _ =
+        write!(out, "SURF {}\n  TYPE STANDARD\n  CURV {}\n  DISZ 0\n", lens.surfaces.len() + 1, plain(image.curvature));
     if image.conic != 0.0 {
         let _ = writeln!(out, "  CONI {}", plain(image.conic));
     }

@@ -41,7 +41,7 @@ impl Prescription {
             && self.is_powerless()
         {
             let found = format!("{number} of a lens without power, whose stop it cannot size");
-            let allowed = "a lens with power, or entrance_pupil_diameter_mm or stop_semi_diameter_mm instead; `optimize` takes a start with --constraint focal_length=..";
+            let allowed = "a lens with power, or entrance_pupil_diameter_mm or stop_semi_diameter_mm instead; `optimize` takes a start with one focal length, such as --constraint focal_length=50";
             return Err(Error::bad(file, "aperture.f_number", found, allowed));
         }
         clearance::check(self, file)
@@ -174,7 +174,9 @@ impl Prescription {
         }
         let (reach, corner) = (image.shape().reach(), self.sensor.radius_mm());
         if corner > reach {
-            let found = format!("a sensor whose corner lies {corner:.4} mm off the axis");
+            let found = format!(
+                "a sensor (the field's image, where none is stated) whose corner lies {corner:.4} mm off the axis"
+            );
             let allowed = format!("a corner within {reach:.4} mm, where an image surface of this form ends");
             return Err(Error::bad(file, "image", found, allowed));
         }

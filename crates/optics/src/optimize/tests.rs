@@ -37,7 +37,12 @@ fn jacobians_agree_with_differences() {
     let mut cases =
         vec![(cooke.clone(), spot.clone()), (cooke.clone(), chief), (cooke.clone(), waves.clone()), (two, depths)];
     let curved = cooke.changed(|l| l.image = ImageSurface { curvature: -1.0 / 60.0, conic: 0.3 }).expect("a lens");
-    cases.extend([(three.clone(), spot.clone()), (three, waves.clone()), (curved.clone(), spot.clone()), (curved, waves)]);
+    cases.extend([
+        (three.clone(), spot.clone()),
+        (three, waves.clone()),
+        (curved.clone(), spot.clone()),
+        (curved, waves),
+    ]);
     let general = |lens: Lens| lens.changed(|l| l.field = Field::Angle(4.0)).expect("a lens");
     cases.extend(every_kind().into_iter().map(|lens| (general(lens), spot.clone())));
     for (lens, merit) in cases {

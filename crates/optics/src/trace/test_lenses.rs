@@ -1,8 +1,8 @@
 //! Wide-angle lenses for tests: published prescriptions as plain numbers.
 
 use crate::lens::{
-    Aperture, Field, ImageSurface, Lens, Medium, Pose, Prescription, SensorRaster, Shape, Surface, Wavelengths, builtin,
-    unchecked,
+    Aperture, Field, ImageSurface, Lens, Medium, Pose, Prescription, SensorRaster, Shape, Surface, Wavelengths,
+    builtin, unchecked,
 };
 use isoplanat_base::testing::between;
 

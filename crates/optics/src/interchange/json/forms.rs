@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use crate::interchange::{Form, Imported, parse};
 use crate::lens::catalogue::Glasses;
-use crate::lens::paraxial;
+use crate::lens::{ImageSurface, paraxial};
 use isoplanat_base::error::Result;
 use isoplanat_base::testing::assert_rel;
 
@@ -83,6 +83,40 @@ fn what_surfaces_of_optiland_do_is_read_in_both_forms() {
         (json!({ "type": "float_by_stop_size", "value": 6.0 }), json!({ "type": "RefractiveReflectiveModel" }));
     let lens = read(&optiland(&fields, &stop, &glass)).expect("reads").lens;
     assert_rel(paraxial::stop_semi_diameter(&lens), 3.0, 1e-12, 0.0, "stop");
+}
+
+/// Images of every kind of form: a conic is landed on, terms beyond it are told, what is none is refused; so is one that is shifted or turned.
+#[test]
+fn images_of_optiland_have_their_form() {
+    let (fields, stop) = (points(&json!({ "field_type": "angle" })), json!({ "type": "EPD", "value": 8.0 }));
+    let with = |kind: &str, more: &Value| {
+        let mut file = optiland(&fields, &stop, &json!({ "type": "RefractiveReflectiveModel" }));
+        let geometry = file["surface_group"]["surfaces"][3]["geometry"].as_object_mut().expect("an object");
+        geometry.insert("type".into(), json!(kind));
+        for (key, value) in more.as_object().expect("an object") {
+            match key.as_str() {
+                "x" | "rx" => geometry["cs"][key] = value.clone(),
+                _ => drop(geometry.insert(key.clone(), value.clone())),
+            }
+        }
+        read(&file)
+    };
+    let curved = with("StandardGeometry", &json!({ "radius": -80.0, "conic": 0.5 })).expect("reads");
+    assert_eq!(curved.lens.image, ImageSurface { curvature: -1.0 / 80.0, conic: 0.5 });
+    assert!(curved.notes.iter().any(|n| n.contains("the image is curved")), "{:?}", curved.notes);
+    assert!(with("Plane", &json!({ "radius": -80.0 })).expect("reads").lens.image.is_plane());
+    for (terms, told) in [(json!([1e-4, 0.0]), true), (json!([0.0]), false)] {
+        let read = with("EvenAsphere", &json!({ "radius": "Infinity", "coefficients": terms })).expect("reads");
+        assert_eq!(read.notes.iter().any(|n| n.contains("terms of the image's form")), told, "{:?}", read.notes);
+    }
+    for (kind, more, said) in [
+        ("BiconicGeometry", json!({ "radius_x": 30.0 }), "an image of type BiconicGeometry"),
+        ("Plane", json!({ "x": 1.0 }), "x = 1"),
+        ("Plane", json!({ "rx": 0.1 }), "rx = 0.1"),
+    ] {
+        let error = with(kind, &more).expect_err(said).to_string();
+        assert!(error.contains(said), "{error}");
+    }
 }
 
 /// A thin lens of either program: an object 200 mm before a lens of 50 mm has its image at 66 2/3 mm.

@@ -115,6 +115,14 @@ fn surfaces(part: &Part, draft: &mut Draft) -> Result<()> {
         places.push(here);
     }
     draft.object_mm = places[0] - z(object)?;
+    let geometry = object.need("geometry")?;
+    let radius = geometry.get("radius").map(|r| r.any_number()).transpose()?.filter(|r| r.is_finite());
+    if !["Plane", "StandardGeometry"].contains(&geometry.need("type")?.text()?) || radius.is_some() {
+        draft.notes.push(format!(
+            "{}: the object is curved: object points are taken on the plane through its vertex",
+            object.path
+        ));
+    }
     if let Some(behind) = object.get("material_post") {
         draft.object_medium = medium(&behind)?;
     }
@@ -123,23 +131,39 @@ fn surfaces(part: &Part, draft: &mut Draft) -> Result<()> {
         stage.thickness = places[i + 1] - places[i];
         draft.surfaces.push(stage);
     }
-    let geometry = image.need("geometry")?;
+    image_surface(image, draft)
+}
+
+/// Form of the image.
+fn image_surface(image: &Part, draft: &mut Draft) -> Result<()> {
+    let (geometry, place) = (image.need("geometry")?, Location::called(image.path.as_str()));
+    on_axis(&geometry.need("cs")?)?;
     let number = |key: &str| geometry.get(key).map(|x| x.any_number()).transpose();
     let (radius, conic) = (number("radius")?.unwrap_or(f64::INFINITY), number("conic")?.unwrap_or(0.0));
-    if radius.is_finite() {
-        if !["Plane", "StandardGeometry"].contains(&geometry.need("type")?.text()?) {
-            return Err(image.refused("an aspheric image", "a plane image, or one of type StandardGeometry"));
+    let kind = geometry.need("type")?.text()?.to_owned();
+    match kind.as_str() {
+        "Plane" => return Ok(()),
+        "StandardGeometry" => {}
+        "EvenAsphere" | "OddAsphere" => {
+            let list = geometry.get("coefficients").or_else(|| geometry.get("c")).map(|c| c.items()).transpose()?;
+            let terms = list.unwrap_or_default().iter().map(|c| c.number()).collect::<Result<Vec<f64>>>()?;
+            if terms.iter().any(|a| *a != 0.0) {
+                draft.notes.push(format!("{place}: terms of the image's form beyond its conic are left out"));
+            }
         }
-        let form = ImageSurface { curvature: radius.recip(), conic };
-        draft.curve_image(&Location::called(image.path.as_str()), form);
+        other => {
+            let found = format!("an image of type {}", shown(other));
+            return Err(geometry.refused(found, "Plane, StandardGeometry, EvenAsphere, OddAsphere"));
+        }
+    }
+    if radius.is_finite() {
+        draft.curve_image(&place, ImageSurface { curvature: radius.recip(), conic });
     }
     Ok(())
 }
 
-fn surface(part: &Part) -> Result<Stage> {
-    let mut stage = Stage::plane(Location::called(part.path.as_str()));
-    let geometry = part.need("geometry")?;
-    let frame = geometry.need("cs")?;
+/// Refuses a frame that is shifted or turned.
+fn on_axis(frame: &Part) -> Result<()> {
     for key in ["x", "y", "rx", "ry", "rz"] {
         let moved = frame.get(key).map(|x| x.number()).transpose()?.unwrap_or(0.0);
         if moved != 0.0 {
@@ -147,6 +171,13 @@ fn surface(part: &Part) -> Result<Stage> {
                 .refused(format!("{key} = {moved}"), "surfaces on one axis; tilts and decentres go in a TOML file"));
         }
     }
+    Ok(())
+}
+
+fn surface(part: &Part) -> Result<Stage> {
+    let mut stage = Stage::plane(Location::called(part.path.as_str()));
+    let geometry = part.need("geometry")?;
+    on_axis(&geometry.need("cs")?)?;
     // What a surface does to light stands with it, or in newer files in a part of its own.
     let interaction = part.get("interaction_model");
     if part.is_true("is_reflective") || interaction.as_ref().is_some_and(|i| i.is_true("is_reflective")) {

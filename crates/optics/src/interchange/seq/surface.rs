@@ -10,6 +10,18 @@ use crate::interchange::text::{Line, shown};
 use crate::lens::check::MAX_SURFACES;
 use isoplanat_base::error::{Location, Result};
 
+/// Decentres and tilts.
+const MOVES: [&str; 6] = ["XDE", "YDE", "ZDE", "ADE", "BDE", "CDE"];
+
+/// Refuses a decentre or tilt that is one.
+fn unmoved(keyword: &str, line: &Line) -> Result<()> {
+    if line.number(0)? == 0.0 {
+        return Ok(());
+    }
+    let found = format!("{keyword} {}", line.words[0]);
+    Err(line.refused(found, "surfaces on one axis; tilts and decentres go in a TOML file"))
+}
+
 /// What a statement is about.
 #[derive(Clone, Debug, PartialEq)]
 enum Subject {
@@ -68,6 +80,15 @@ impl Reader<'_> {
                 self.unsaid.retain(|(of, _)| *of != count || !["CUY", "RDY"].contains(&keyword));
                 Ok(())
             }
+            Subject::Image if keyword.len() == 1 && "ABCDEFGHJ".contains(keyword) => {
+                if rest.number(0)? != 0.0 && !self.image_terms {
+                    self.image_terms = true;
+                    let told = format!("{}: terms of the image's form beyond its conic are left out", line.place);
+                    self.draft.notes.push(told);
+                }
+                Ok(())
+            }
+            Subject::Object | Subject::Image if MOVES.contains(&keyword) => unmoved(keyword, rest),
             Subject::Object if ["CUY", "RDY"].contains(&keyword) => {
                 if rest.number(0)? == 0.0 {
                     return Ok(());
@@ -187,12 +208,7 @@ impl Reader<'_> {
                 return Err(line.refused("a mirror (RMD REFL)", "refracting surfaces"));
             }
             "RMD" => {}
-            "XDE" | "YDE" | "ZDE" | "ADE" | "BDE" | "CDE" => {
-                if line.number(0)? != 0.0 {
-                    let found = format!("{keyword} {}", line.words[0]);
-                    return Err(line.refused(found, "surfaces on one axis; tilts and decentres go in a TOML file"));
-                }
-            }
+            _ if MOVES.contains(&keyword) => unmoved(keyword, line)?,
             "DAR" | "BEN" | "RET" | "REV" => {
                 // Without an amount they break nothing.
             }
