@@ -156,7 +156,8 @@ fn a_curved_sensor_is_landed_on() {
         spot["fields"].as_array().expect("fields").iter().map(|f| number(f, "rms_mm")).collect()
     };
     let (flat, curved) = (foci("flat.zmx"), foci("curved.zmx"));
-    assert_eq!(flat[0], curved[0], "the axis");
+    // On the axis the blur alone reaches over the form.
+    assert!((flat[0] - curved[0]).abs() < 1e-5 * flat[0], "{flat:?} {curved:?}");
     assert!((flat.last().expect("fields") - curved.last().expect("fields")).abs() > 1e-3, "{flat:?} {curved:?}");
     place.run("render curved.zmx dead_leaves:1 -o c.png --frame-rows 64").done();
     let ran = place.run("capture curved.zmx dead_leaves:1 -o c.dng --samples 1");

@@ -160,11 +160,13 @@ pub struct ImageSurface {
 
 impl ImageSurface {
     /// As the shape of a surface.
+    #[doc(hidden)]
     pub fn shape(&self) -> Shape {
         Shape { curvature: self.curvature, conic: self.conic, ..Shape::default() }
     }
 
     /// Whether it is a plane.
+    #[doc(hidden)]
     pub fn is_plane(&self) -> bool {
         self.curvature == 0.0
     }
@@ -345,6 +347,7 @@ impl Prescription {
     }
 
     /// Medium of every space: entry 0 is the object space, entry `i + 1` follows surface `i`.
+    #[doc(hidden)]
     pub fn media(&self) -> impl Iterator<Item = &Medium> {
         std::iter::once(&self.object_medium).chain(self.surfaces.iter().map(|s| &s.medium))
     }
