@@ -159,8 +159,8 @@ fn a_curved_sensor_is_landed_on() {
     // On the axis the blur alone reaches over the form.
     assert!((flat[0] - curved[0]).abs() < 1e-5 * flat[0], "{flat:?} {curved:?}");
     assert!((flat.last().expect("fields") - curved.last().expect("fields")).abs() > 1e-3, "{flat:?} {curved:?}");
-    place.run("render curved.zmx dead_leaves:1 -o c.png --frame-rows 64").done();
-    let ran = place.run("capture curved.zmx dead_leaves:1 -o c.dng --samples 1");
+    place.run("render curved.zmx dead_leaves:1 -o c.png --columns 96 --rows 64").done();
+    let ran = place.run("capture curved.zmx dead_leaves:1 -o c.dng --samples 2");
     assert!(ran.code == 2 && ran.err.contains("a curved sensor"), "{}", ran.err);
     // Nothing is written before that is known.
     std::fs::create_dir(place.path("photos")).expect("made");
