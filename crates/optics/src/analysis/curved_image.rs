@@ -175,7 +175,7 @@ fn curved_images_are_written_and_read() {
         }
     }
     let error = flat.changed(|l| l.image = ImageSurface { curvature: 1.0 / 20.0, conic: 0.0 }).expect_err("too small");
-    assert!(error.to_string().contains("image: a sensor whose corner"), "{error}");
+    assert!(error.to_string().contains("whose corner lies"), "{error}");
     let error =
         prescription::from_toml(&text.replace("conic = -0.4", "conic = nan"), "a.toml").expect_err("not a number");
     assert!(error.to_string().contains("image.conic: NaN"), "{error}");
