@@ -272,6 +272,14 @@ impl<'a> Listing<'a> {
     }
 }
 
+/// What is to be known of a curved sensor, in a sentence; nothing of a plane one.
+pub(crate) fn curved_sensor(lens: &Lens) -> Option<String> {
+    let [radius, conic] = [lens.image.curvature.recip(), lens.image.conic].map(|x| significant(x, 7));
+    let line =
+        format!("The sensor is curved: radius {radius} mm, conic constant {conic}. Places on it count by x and y.");
+    (!lens.image.is_plane()).then_some(line)
+}
+
 /// Characters of what a file says of itself, at most.
 const LONGEST: usize = 2000;
 
@@ -304,12 +312,8 @@ impl fmt::Display for Listing<'_> {
             writeln!(f, "the object lies in {}, index {index}", lens.object_medium)?;
         }
         writeln!(f, "aperture: {aperture}; sensor {} × {} pixels of {} µm\n", s.columns, s.rows, s.pitch_um)?;
-        if !lens.image.is_plane() {
-            let [radius, conic] = [lens.image.curvature.recip(), lens.image.conic].map(|x| significant(x, 7));
-            writeln!(
-                f,
-                "the sensor is curved: radius {radius} mm, conic constant {conic}; its pixels are counted by x and y\n"
-            )?;
+        if let Some(line) = curved_sensor(lens) {
+            writeln!(f, "{line}\n")?;
         }
         writeln!(f, "{}\n{}", self.first_order_table(), self.surface_table())?;
         writeln!(f, "{}", self.media_table())?;

@@ -165,6 +165,17 @@ impl ImageSurface {
         Shape { curvature: self.curvature, conic: self.conic, ..Shape::default() }
     }
 
+    /// Refuses a raster, `what` in words, whose corner lies where it ends; `file` names the lens.
+    fn require_reach(&self, corner_mm: f64, what: &str, file: &str) -> Result<()> {
+        let reach = self.shape().reach();
+        if corner_mm <= reach {
+            return Ok(());
+        }
+        let found = format!("{what} whose corner lies {corner_mm:.4} mm off the axis");
+        let allowed = format!("a corner within {reach:.4} mm, where the image surface ends");
+        Err(Error::bad(file, "image", found, allowed))
+    }
+
     /// Whether it is a plane.
     #[doc(hidden)]
     pub fn is_plane(&self) -> bool {
@@ -283,17 +294,7 @@ impl Lens {
     /// Refuses places of the sensor, so far from the axis, that its form does not have.
     #[doc(hidden)]
     pub fn require_reach(&self, radius_mm: f64) -> Result<()> {
-        let reach = self.image.shape().reach();
-        if radius_mm <= reach {
-            return Ok(());
-        }
-        let found = format!("a frame whose corner lies {radius_mm:.4} mm off the axis");
-        Err(Error::bad(
-            self.file(),
-            "image",
-            found,
-            format!("a corner within {reach:.4} mm, where the image surface ends"),
-        ))
+        self.image.require_reach(radius_mm, "a frame", self.file())
     }
 
     /// This lens with other numbers.

@@ -6,7 +6,7 @@ use super::{Atlas, LensReport, bars, grid, spot_table, waves};
 use crate::report::atlas::{Style, picture};
 use crate::report::drawing::lens_svg_within;
 use crate::report::html::{Fact, Page, Picture};
-use crate::report::listing::Listing;
+use crate::report::listing::{Listing, curved_sensor};
 use crate::report::measured::TILT_DEG;
 use crate::report::plot::Plot;
 use crate::report::table::{Table, significant};
@@ -116,11 +116,8 @@ impl Pages<'_> {
                 Some(Fact { value: if passes { "passed" } else { "failed" }.into(), label: "numerical check".into() }),
             ];
             page.facts(&facts.into_iter().flatten().collect::<Vec<_>>());
-            if !r.lens.image.is_plane() {
-                let [radius, conic] = [r.lens.image.curvature.recip(), r.lens.image.conic].map(|x| significant(x, 7));
-                page.paragraph(&format!(
-                    "The sensor is curved: radius {radius} mm, conic constant {conic}. Places on it count by x and y; what is said of the image plane is said of it."
-                ));
+            if let Some(line) = curved_sensor(&r.lens) {
+                page.paragraph(&format!("{line} What is said of the image plane is said of it."));
             }
             if !r.missing.is_empty() {
                 page.paragraph("Not shown, or not whole:");

@@ -16,8 +16,9 @@ const CANDIDATES: usize = 4096;
 const EVEN: f64 = 0.3;
 /// What stands out has so many times the detail of its part's own place.
 const STANDS_OUT: f64 = 30.0;
-/// What stands out counts where it is so many times what the places see, or where so few places see nearly all that is seen: others like them may be missed.
+/// What stands out counts where it is so many times what the places see.
 const MISSED: f64 = 4.0;
+/// It counts, too, where fewer places than this see nearly all that is seen: others like them may be missed.
 const FEW: f64 = 64.0;
 /// Half the side of what is looked at about something that stands out as often as at all of its blur: most of what a picture misses of a point is missed there.
 const CORE: usize = 2;

@@ -172,15 +172,7 @@ impl Prescription {
                 return Err(Error::bad(file, Location::from("image").key(key), value.to_string(), allowed));
             }
         }
-        let (reach, corner) = (image.shape().reach(), self.sensor.radius_mm());
-        if corner > reach {
-            let found = format!(
-                "a sensor (the field's image, where none is stated) whose corner lies {corner:.4} mm off the axis"
-            );
-            let allowed = format!("a corner within {reach:.4} mm, where an image surface of this form ends");
-            return Err(Error::bad(file, "image", found, allowed));
-        }
-        Ok(())
+        image.require_reach(self.sensor.radius_mm(), "a sensor (the field's image, where none is stated)", file)
     }
 }
 

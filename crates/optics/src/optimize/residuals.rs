@@ -80,7 +80,7 @@ pub(super) fn jacobian(rays: &Rays, traced: &Traced, slopes: &Slopes, n: usize) 
     let mut out = DMatrix::zeros(if wavefront { images } else { 2 * images }, n);
     let mut pistons = vec![vec![0.0; n * points]; if wavefront { rays.colours() } else { 0 }];
     let mut light = vec![vec![0.0; points]; rays.colours()];
-    let about = self::references(rays, traced);
+    let about = if wavefront { self::references(rays, traced) } else { Vec::new() };
     let path_by = |c: usize, i: usize, p: usize, j: usize| {
         let to = traced.path_by(c, i, about[p]);
         slopes.of(c, i, n)[2][j] + to.x * references[2 * n * p + j] + to.y * references[2 * n * p + n + j]

@@ -84,6 +84,17 @@ impl TraceSurface {
     }
 }
 
+/// `n N` of a ray in a medium of index `n` whose optical direction cosines along a surface of these slopes are `q = n((L, M) + N ∇z)`: of `|q − nN ∇z|² + (nN)² = n²`; not a
+/// number where there is no such ray.
+pub(crate) fn axial_cosine(q: DVec2, slope: DVec2, index: f64) -> f64 {
+    let under = index * index - q.length_squared();
+    if slope == DVec2::ZERO {
+        return under.sqrt();
+    }
+    let (steep, along) = (1.0 + slope.length_squared(), q.dot(slope));
+    (along + (along * along + steep * under).sqrt()) / steep
+}
+
 /// All surfaces of a lens at one wavelength; the image surface is the last.
 #[derive(Clone, Debug, PartialEq)]
 pub struct System {

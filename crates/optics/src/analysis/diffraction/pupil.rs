@@ -10,6 +10,7 @@ use crate::analysis::wavefront::rays::{Source, StopRay};
 use crate::trace::ObjectPoint;
 use crate::trace::aim::Aimer;
 use crate::trace::pupil::FieldPupil;
+use crate::trace::system::axial_cosine;
 
 /// Degrees of the fits; the next one is taken where one leaves more than [`RESIDUAL`].
 const DEGREES: [usize; 3] = [12, 18, 26];
@@ -188,12 +189,8 @@ impl Pupil {
 impl Oriented {
     /// `n N` at the optical cosines `q` along the image surface: what a shift of that surface by 1 adds to the path.
     pub(super) fn depth(&self, q: DVec2) -> f64 {
-        let under = self.index * self.index - q.length_squared();
-        if self.steep == DVec2::ZERO {
-            return under.max(0.0).sqrt();
-        }
-        let (steep, along) = (1.0 + self.steep.length_squared(), q.dot(self.steep));
-        (along + (along * along + steep * under).max(0.0).sqrt()) / steep
+        // Rounding may take the pupil's edge beyond the last ray: a NaN is the smaller of two.
+        axial_cosine(q, self.steep, self.index).max(0.0)
     }
 
     /// Whether a point of the box is open, path in wavelengths, amplitude: the slow way, for comparison.

@@ -17,6 +17,7 @@ use glam::{DMat2, DVec2, DVec3};
 use super::super::differential::RayDot;
 use super::super::lanes::{Options, Program, TILE, Tile};
 use super::super::sequential::{Hit, HitBar, trace, trace_vjp};
+use super::super::system::axial_cosine;
 use super::super::{Cause, Failure, Ray, System, SystemGradient};
 use super::newton::{Launching, Solved, solve, stop_jacobian};
 
@@ -40,15 +41,8 @@ impl Launching for SensorPoint {
     #[inline]
     fn ray(&self, p: DVec2) -> Ray {
         // Cosines beyond one have no ray: the root is NaN, which no surface is met by.
-        let direction = if self.slope == DVec2::ZERO {
-            p.extend((1.0 - p.length_squared()).sqrt())
-        } else {
-            // N of |p − N ∇z|² + N² = 1.
-            let (steep, along) = (1.0 + self.slope.length_squared(), p.dot(self.slope));
-            let n = (along + (along * along + steep * (1.0 - p.length_squared())).sqrt()) / steep;
-            (p - n * self.slope).extend(n)
-        };
-        Ray { origin: self.origin, direction }
+        let n = axial_cosine(p, self.slope, 1.0);
+        Ray { origin: self.origin, direction: (p - n * self.slope).extend(n) }
     }
 
     #[inline]
