@@ -25,7 +25,7 @@ use crate::design::folder::MARKER;
 use crate::design::schedule::Length;
 use crate::design::subject::Subject;
 use isoplanat_base::atomic;
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Result, plain};
 use isoplanat_imaging::calibrate::lens::MeasuredLens;
 use isoplanat_imaging::render::Diffraction;
 use isoplanat_imaging::sensor::Sensor;
@@ -187,9 +187,8 @@ impl Task {
 
     /// A task of tables that hold it; else the key whose value is none, and why.
     fn of_tables(table: toml::Table) -> Result<Self, (String, String)> {
-        let refused = |e: serde_path_to_error::Error<toml::de::Error>| {
-            (e.path().to_string(), e.inner().message().trim().to_owned())
-        };
+        let refused =
+            |e: serde_path_to_error::Error<toml::de::Error>| (e.path().to_string(), plain(e.inner().message()));
         serde_path_to_error::deserialize(toml::Value::Table(table)).map_err(refused)
     }
 

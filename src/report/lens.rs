@@ -34,6 +34,7 @@ use isoplanat_optics::analysis::wavefront::Map;
 use isoplanat_optics::analysis::zernike::Fit;
 use isoplanat_optics::lens::Lens;
 use isoplanat_optics::psf::{Optics, Quadrature, SensorPoint};
+use isoplanat_optics::trace::Cause;
 
 pub use page::html;
 
@@ -147,8 +148,12 @@ pub fn look(lens: &Lens, options: &Options) -> (Overview, Vec<String>) {
     for f in &overview.fields {
         let angle = significant(f.angle_deg, 4);
         if let Some(failure) = f.failure {
-            let cause = failure.cause.name().replace('_', " ");
-            missing.push(format!("at {angle}° some rays end at surface {}: {cause}", failure.surface));
+            missing.push(if failure.cause == Cause::NotConverged && failure.surface == lens.stop {
+                format!("at {angle}° no ray is found through some points of the stop, which count as dark; `isoplanat check` says whether a clear one exists")
+            } else {
+                let cause = failure.cause.name().replace('_', " ");
+                format!("at {angle}° some rays end at surface {}: {cause}", failure.surface)
+            });
         }
         if let (Some(Err(fault)), Some(_)) = (&f.diffraction, &f.spot) {
             missing.push(format!("MTF by diffraction at {angle}°: {fault}"));

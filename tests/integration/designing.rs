@@ -273,7 +273,7 @@ fn a_design_across_lenses_as_built() {
         ("tolerances = \"none.toml\"\n", "none.toml"),
         (
             "[tolerances]\nschema = 1\n[tolerances.surface.all]\nradius = 0.5\n",
-            "bad.toml: tolerances: unknown field `radius`",
+            "bad.toml: tolerances: unknown key `radius`",
         ),
         (
             "[tolerances]\nschema = 1\n[tolerances.surface.all]\nradius_percent = -1\n",

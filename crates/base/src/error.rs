@@ -10,8 +10,11 @@ use crate::figures::readable;
 use crate::terminal::cut;
 
 pub use location::Location;
+#[doc(hidden)]
+pub use words::plain;
 
 mod location;
+mod words;
 
 /// What can go wrong. Everything but [`Error::Internal`], [`Error::Stopped`] and [`Error::Interrupted`] is bad input (exit code 2).
 #[derive(Debug, thiserror::Error)]
@@ -143,10 +146,11 @@ impl Error {
         Self::Io { path: path.to_owned(), what: "writing", reason }
     }
 
-    /// A TOML text that does not parse: its line, and what the parser said.
+    /// A TOML text that does not parse: its line, its key where that line has it, and what is wrong.
     pub fn toml(file: &str, text: &str, error: &toml::de::Error, allowed: &str) -> Self {
-        let line = error.span().map_or(1, |span| text[..span.start.min(text.len())].matches('\n').count() + 1);
-        Self::bad(file, Location::line(line), error.message().trim().replace('\n', " "), allowed)
+        let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
+        let place = Location::line(before.matches('\n').count() + 1).key(words::key_before(before));
+        Self::bad(file, place, plain(error.message()), allowed)
     }
 
     /// What is bad about the input, where that is the error.

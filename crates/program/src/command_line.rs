@@ -59,7 +59,20 @@ fn line(error: &Error) -> String {
     let rendered = error.render().to_string();
     let told = |line: &&str| !line.starts_with("Usage:") && !line.starts_with("For more information");
     let said: Vec<&str> = rendered.lines().map(str::trim).take_while(told).filter(|line| !line.is_empty()).collect();
-    said.join(" ").trim_start_matches("error: ").replace(" tip: ", "; ")
+    let said = said.join(" ").trim_start_matches("error: ").replace(" tip: ", "; ");
+    // Nobody who misspells an option means it as a value.
+    let said = said.split("; to pass '").next().unwrap_or_default();
+    spoken_range(said)
+}
+
+/// `-3 is not in 1..=2047` as `-3 is not in 1 to 2047`.
+fn spoken_range(said: &str) -> String {
+    match said.split_once(" is not in ") {
+        Some((before, range)) => {
+            format!("{before} is not in {}", range.replacen("..=", " to ", 1).replacen("..", " up to below ", 1))
+        }
+        None => said.to_owned(),
+    }
 }
 
 /// The program and its command that the words begin with.
@@ -121,14 +134,15 @@ mod tests {
             (&["a", "-o", "b", "--depht-mm", "5"], "--depth-mm"),
             (&["a", "-o", "b", "--depth-mm", "far"], "far"),
             (&["a", "-o", "b", "--rays", "-5"], "-5"),
-            (&["a", "-o", "b", "--rays", "70"], "1..=9"),
+            (&["a", "-o", "b", "--rays", "70"], "70 is not in 1 to 9"),
             (&["a", "-o", "b", "--seed", "1"], "--rays <RAYS>"),
             (&["a", "-o", "b", "c"], "'c'"),
             (&["a", "-o", "b", "-o", "c"], "--output"),
             (&["a", "-o", "b", "--rays"], "--rays"),
+            (&["a", "-o", "b", "--bent"], "unexpected argument '--bent' found"),
         ] {
             let said = line(&parsed(words).expect_err("refused"));
-            assert!(said.contains(found) && !said.contains('\n'), "{words:?}: {said}");
+            assert!(said.contains(found) && !said.contains('\n') && !said.contains("to pass"), "{words:?}: {said}");
         }
         let words = ["show", "pictrue"].map(OsString::from);
         let said = line(&read::<Show>(&words).expect_err("refused"));

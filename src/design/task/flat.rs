@@ -90,7 +90,7 @@ pub(super) fn parse(mut table: Table, text: &str, file: &str) -> Result<Task> {
         let alike = |key: &str| key.bytes().zip(name.bytes()).take_while(|(a, b)| a == b).count();
         // The list is cut where it is long: those that begin alike come first.
         known.sort_by_key(|key| (std::cmp::Reverse(alike(key)), *key));
-        let found = format!("unknown field `{name}`, expected one of `{}`", known.join("`, `"));
+        let found = format!("unknown key `{name}`, expected one of `{}`", known.join("`, `"));
         Error::bad(file, place(text, &unknown), found, ALLOWED)
     })?;
     Task::of_tables(nested).map_err(|(key, found)| Error::bad(file, place(text, &of_the_file(&key)), found, ALLOWED))
@@ -374,18 +374,18 @@ mod tests {
         let of = |more: &str| format!("schema = 1\nlens = \"two_element\"\n{more}");
         let parse = |more: &str| Task::parse(&of(more), "a.toml").expect_err(more).to_string();
         for (more, begins, has) in [
-            ("pach_px = 64", "a.toml: line 3: pach_px: unknown field `pach_px`", "`patch_px`"),
-            ("[train]\npair = 3", "a.toml: line 4: train.pair: unknown field `pair`", "`pairs`"),
-            ("patch_px = \"big\"", "a.toml: line 3: patch_px: invalid type", "usize"),
-            ("[train]\nsteps = -3", "a.toml: line 4: train.steps: invalid value", "u64"),
+            ("pach_px = 64", "a.toml: line 3: pach_px: unknown key `pach_px`", "`patch_px`"),
+            ("[train]\npair = 3", "a.toml: line 4: train.pair: unknown key `pair`", "`pairs`"),
+            ("patch_px = \"big\"", "a.toml: line 3: patch_px: text \"big\" in place of", "whole number"),
+            ("[train]\nsteps = -3", "a.toml: line 4: train.steps: -3 in place of", "whole number"),
             ("sensor = { colums = 3 }", "a.toml: line 3: sensor", "colums"),
             (
                 "[[stages]]\nsteps = 3\n[[stages]]\npach = 3",
-                "a.toml: line 6: stages[1].pach: unknown field `pach`",
+                "a.toml: line 6: stages[1].pach: unknown key `pach`",
                 "`patch_px`",
             ),
-            ("train = 3", "a.toml: line 3: train", "invalid type"),
-            ("stages = 3", "a.toml: line 3: stages", "invalid type"),
+            ("train = 3", "a.toml: line 3: train", "3 in place of a table"),
+            ("stages = 3", "a.toml: line 3: stages", "3 in place of a list"),
             ("lens.file = 3", "a.toml: line 3", "dotted key"),
         ] {
             let error = parse(more);

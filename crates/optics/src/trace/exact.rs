@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::sequential::{first_vignetted, trace};
 use super::{Ray, System, landing};
 use crate::lens::Lens;
-use isoplanat_base::error::{Error, Location, Result};
+use isoplanat_base::error::{Error, Location, Result, plain};
 
 /// Rays to trace.
 #[derive(Clone, Debug, Deserialize)]
@@ -76,7 +76,12 @@ pub struct AnswerGradient {
 /// Reads a request; errors name the ray.
 pub fn request_from_json(text: &str, file: &str) -> Result<Request> {
     let request: Request = serde_json::from_str(text).map_err(|e| {
-        Error::bad(file, Location::line(e.line()), e.to_string(), "wavelength_nm and rays of origin_mm, direction")
+        Error::bad(
+            file,
+            Location::line(e.line()),
+            plain(&e.to_string()),
+            "wavelength_nm and rays of origin_mm, direction",
+        )
     })?;
     if !(200.0..=20_000.0).contains(&request.wavelength_nm) {
         return Err(Error::bad(file, "wavelength_nm", request.wavelength_nm.to_string(), "200 to 20000 nm"));

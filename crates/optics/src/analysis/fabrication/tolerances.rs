@@ -326,7 +326,7 @@ mod tests {
         for (line, expected) in [
             ("[surface.0]\nradius_percent = -1", "surface.0.radius_percent: -1"),
             ("[surface.0]\nradius_percent = nan", "surface.0.radius_percent: NaN"),
-            ("[surface.all]\nroughness = 3", "unknown field `roughness`"),
+            ("[surface.all]\nroughness = 3", "unknown key `roughness`"),
             ("[surface.0]\nirregularity_fringes = 0.5", "test_wavelength_nm: missing"),
             ("[surface.0]\nradius_percent = 1\nradius_fringes = 1", "beside radius_percent"),
             ("[surface.0]\nimperfections = \"60-40\"", "surface.0.imperfections: \"60-40\""),
