@@ -13,6 +13,7 @@ use isoplanat::calibrate::solve::{Fit, Settings, solve};
 use isoplanat::calibrate::{View, chart, doubt};
 use isoplanat::imaging::files::{Encoding, PICTURES, extension, write_picture};
 use isoplanat::imaging::metrics::slanted_edge::Sites;
+use isoplanat::report::table::value;
 use isoplanat::{Error, Result};
 use ndarray::{Array2, ArrayView2};
 
@@ -161,7 +162,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if args.common.json {
         let mut all = listing.json();
         if let Some(spread) = &spread {
-            all["psf"] = spread.json();
+            all["psf"] = value(&spread.figures())?;
         }
         writeln!(out, "{all:#}")?;
     } else {

@@ -1,15 +1,17 @@
 //! `isoplanat capture LENS SCENE -o x.dng`: the virtual camera.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use isoplanat::atomic::Target;
-use isoplanat::imaging::capture::{CaptureSettings, capture};
+use isoplanat::imaging::capture::{Capture, CaptureSettings, capture};
 use isoplanat::imaging::develop::glare;
 use isoplanat::imaging::dng::{DngInfo, write_dng};
 use isoplanat::imaging::render::memory as estimate;
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
+use isoplanat::report::table::numbered;
+use serde::Serialize;
 
 use crate::input;
 use crate::named::Named;
@@ -51,6 +53,18 @@ pub(crate) struct Args {
     common: Common,
 }
 
+/// For machines.
+#[derive(Serialize)]
+struct Figures<'a> {
+    capture: &'a Path,
+    columns: usize,
+    rows: usize,
+    rays: u64,
+    seconds: f64,
+    render_noise: f64,
+    sensor_noise: f64,
+}
+
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     output::check_writable(&args.output, args.common.force)?;
@@ -80,10 +94,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     };
     write_dng(Target::new(&args.output, args.common.force), taken.dn.view(), &sensor, &info)?;
     if args.common.json {
-        let figures = serde_json::json!({ "schema": 1, "capture": args.output, "columns": frame.columns, "rows": frame.rows,
-            "rays": taken.rays, "seconds": taken.seconds, "render_noise": taken.render_noise,
-            "sensor_noise": taken.sensor_noise });
-        return Ok(writeln!(out, "{figures}")?);
+        let Capture { rays, seconds, render_noise, sensor_noise, .. } = taken;
+        let (columns, rows) = (frame.columns, frame.rows);
+        let figures = Figures { capture: &args.output, columns, rows, rays, seconds, render_noise, sensor_noise };
+        return Ok(writeln!(out, "{}", numbered(&figures))?);
     }
     writeln!(
         out,

@@ -4,6 +4,8 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use isoplanat::interchange::{Form, text_of};
+use isoplanat::report::table::numbered;
+use serde::Serialize;
 
 use crate::named::Named;
 use crate::output::Common;
@@ -20,6 +22,15 @@ pub(crate) struct Args {
     common: Common,
 }
 
+/// For machines.
+#[derive(Serialize)]
+struct Figures<'a> {
+    input: &'a str,
+    output: String,
+    surfaces: usize,
+    notes: Vec<String>,
+}
+
 /// Runs the command; a line on what was written goes to `out`.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let form = Form::of(&args.output)?;
@@ -29,10 +40,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     crate::output::put(&text, Some(&args.output), args.common.force, out)?;
     let output = args.output.display();
     if args.common.json {
-        let value = serde_json::json!({
-            "schema": 1, "input": &*args.input, "output": output.to_string(), "surfaces": lens.surfaces.len(), "notes": notes,
-        });
-        writeln!(out, "{value:#}")?;
+        let (output, surfaces) = (output.to_string(), lens.surfaces.len());
+        writeln!(out, "{:#}", numbered(&Figures { input: &args.input, output, surfaces, notes }))?;
         return Ok(());
     }
     for note in notes {

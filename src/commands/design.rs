@@ -421,9 +421,14 @@ fn looked_at(task: &Task, prepared: &Prepared, args: &Args, out: &mut dyn Write)
     let pace = pace(&scenery, problem, &fresh, &settings)?;
     let spots = merit_of(&problem.lens, &problem.merit).ok();
     if args.common.json {
-        let value = serde_json::json!({ "schema": 1, "variables": problem.variables.parameters.iter().zip(&problem.bounds).map(|(p, b)| {
-                serde_json::json!({ "name": p.name(&problem.lens), "bounds": b })
-            }).collect::<Vec<_>>(),
+        #[derive(serde::Serialize)]
+        struct Moved {
+            name: String,
+            bounds: [f64; 2],
+        }
+        let all = problem.variables.parameters.iter().zip(&problem.bounds);
+        let moved: Vec<_> = all.map(|(p, bounds)| Moved { name: p.name(&problem.lens), bounds: *bounds }).collect();
+        let value = serde_json::json!({ "schema": 1, "variables": moved,
             "constraints": problem.constraints,
             "seconds_a_step": pace.moving, "seconds_of_its_network": pace.network, "seconds_with_the_lens_held": pace.held,
             "seconds_in_all": pace.all(&settings),

@@ -8,7 +8,8 @@ use isoplanat::interchange::{Form, reopened, text_of};
 use isoplanat::lens::paraxial::first_order;
 use isoplanat::optimize::refocused;
 use isoplanat::optimize::spec::Spec;
-use isoplanat::report::table::significant;
+use isoplanat::report::table::{numbered, significant};
+use serde::Serialize;
 
 use crate::named::Named;
 use crate::output::Common;
@@ -33,6 +34,17 @@ pub(crate) struct Args {
 
 /// Images farther than this behind a lens are none, mm.
 const FARTHEST_MM: f64 = 1e6;
+
+/// For machines: before, and as it is written.
+#[derive(Serialize)]
+struct Figures<'a> {
+    lens: &'a str,
+    output: String,
+    object_distance_mm: f64,
+    sensor_distance_mm: [f64; 2],
+    rms_um: [f64; 2],
+    notes: Vec<String>,
+}
 
 /// Runs the command; what moved goes to `out`.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
@@ -65,11 +77,15 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let last = |l: &isoplanat::lens::Lens| l.surfaces[l.surfaces.len() - 1].thickness;
     let ([before, after], [rms, least]) = ([last(&lens), last(&found.lens)], found.rms_mm.map(|v| 1e3 * v));
     if args.common.json {
-        let value = serde_json::json!({
-            "schema": 1, "lens": &*args.lens, "output": output.to_string(), "object_distance_mm": depth_mm,
-            "sensor_distance_mm": [before, after], "rms_um": [rms, least], "notes": notes,
-        });
-        writeln!(out, "{value:#}")?;
+        let figures = Figures {
+            lens: &args.lens,
+            output: output.to_string(),
+            object_distance_mm: depth_mm,
+            sensor_distance_mm: [before, after],
+            rms_um: [rms, least],
+            notes,
+        };
+        writeln!(out, "{:#}", numbered(&figures))?;
         return Ok(());
     }
     notes.iter().for_each(|note| crate::tell!("note: {output}: {note}"));

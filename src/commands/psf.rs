@@ -2,6 +2,7 @@
 
 mod forms;
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::io::Write;
 use std::path::PathBuf;
@@ -14,9 +15,9 @@ use isoplanat::lens::Lens;
 use isoplanat::math::memory::words;
 use isoplanat::psf::bent::WaveFigures;
 use isoplanat::report::atlas;
-use isoplanat::report::table::{Table, significant};
+use isoplanat::report::table::{Table, numbered, significant};
 use isoplanat::{Error, Result};
-use serde_json::{Value, json};
+use serde::Serialize;
 
 use crate::named::Named;
 use crate::output::Common;
@@ -102,14 +103,16 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let drawn = if args.png.is_some() { 4 * atlas::bytes(count, 3, size) } else { 0 };
     let bytes = atlas::bytes(count, nm, size).saturating_add(drawn).saturating_add(kernels.making);
     if args.common.json {
-        let named = |row: &Vec<f64>| {
-            let pairs = names.iter().zip(row).map(|(name, v)| ((*name).to_owned(), Value::from(*v)));
-            pairs.collect::<serde_json::Map<_, _>>()
+        let figures = Figures {
+            size_px: size,
+            pitch_um: request.pitch_mm * 1e3,
+            wavelength_nm: &request.wavelength_nm,
+            weight: &request.weights,
+            memory_bytes: bytes,
+            diffraction: kernels.diffraction.as_ref().map(Told::from),
+            rows: rows.iter().map(|row| names.iter().copied().zip(row.iter().copied()).collect()).collect(),
         };
-        let value = json!({ "schema": 1, "size_px": size, "pitch_um": request.pitch_mm * 1e3,
-            "wavelength_nm": request.wavelength_nm, "weight": request.weights, "memory_bytes": bytes, "diffraction": kernels.diffraction.as_ref().map(told_json),
-            "rows": rows.iter().map(named).collect::<Vec<_>>() });
-        writeln!(out, "{value}")?;
+        writeln!(out, "{}", numbered(&figures))?;
         return Ok(());
     }
     let mut table = Table::new(SHOWN.iter().take(names.len()).copied());
@@ -154,11 +157,39 @@ fn told(figures: &WaveFigures) -> String {
     text
 }
 
-fn told_json(figures: &WaveFigures) -> Value {
-    let WaveFigures { residual_waves, spread, aperture, geometric } = figures;
-    // Nothing is known of waves where all kernels are of rays.
-    let known = |v: &f64| (*aperture > 0.0).then_some(*v);
-    json!({ "residual_waves": known(residual_waves), "spread": known(spread), "largest_sine": known(aperture), "of_rays": geometric })
+/// Kernels, for machines.
+#[derive(Serialize)]
+struct Figures<'a> {
+    size_px: usize,
+    pitch_um: f64,
+    wavelength_nm: &'a [f64],
+    weight: &'a [f64],
+    memory_bytes: u64,
+    diffraction: Option<Told>,
+    rows: Vec<BTreeMap<&'a str, f64>>,
+}
+
+/// What is told of kernels by diffraction, for machines.
+#[derive(Serialize)]
+struct Told {
+    residual_waves: Option<f64>,
+    spread: Option<f64>,
+    largest_sine: Option<f64>,
+    of_rays: usize,
+}
+
+impl From<&WaveFigures> for Told {
+    fn from(figures: &WaveFigures) -> Self {
+        let WaveFigures { residual_waves, spread, aperture, geometric } = *figures;
+        // Nothing is known of waves where all kernels are of rays.
+        let known = |v: f64| (aperture > 0.0).then_some(v);
+        Self {
+            residual_waves: known(residual_waves),
+            spread: known(spread),
+            largest_sine: known(aperture),
+            of_rays: geometric,
+        }
+    }
 }
 
 /// Sine of an angle at the image beyond which scalar theory is told to err.

@@ -10,6 +10,8 @@ use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::Lens;
 use isoplanat::report::lens::{LensReport, Options, html};
 use isoplanat::report::measured::{Measured, Settings, by_rays, close};
+use isoplanat::report::table::numbered;
+use serde::Serialize;
 
 use crate::analyses::View;
 use crate::named::Named;
@@ -52,6 +54,12 @@ pub(crate) struct Args {
     view: View,
     #[command(flatten)]
     common: Common,
+}
+
+/// Several lenses, for machines.
+#[derive(Serialize)]
+struct Figures {
+    lenses: Vec<serde_json::Value>,
 }
 
 /// Runs the command; figures go to `out`.
@@ -118,8 +126,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         match &reports[..] {
             [one] => writeln!(out, "{}", one.json())?,
             several => {
-                let all: Vec<_> = several.iter().map(LensReport::json).collect();
-                writeln!(out, "{}", serde_json::json!({ "schema": 1, "lenses": all }))?;
+                let lenses = several.iter().map(LensReport::json).collect();
+                writeln!(out, "{}", numbered(&Figures { lenses }))?;
             }
         }
         return Ok(());

@@ -4,12 +4,13 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use isoplanat::atomic::Target;
-use isoplanat::design::joint::sweep::{ranked, varied};
+use isoplanat::design::joint::sweep::{Ranked, ranked, varied};
 use isoplanat::design::task::Task;
 use isoplanat::report::drawing::lens_svg;
 use isoplanat::report::html::Page;
-use isoplanat::report::table::Table;
+use isoplanat::report::table::{Table, numbered};
 use isoplanat::{Error, Result, atomic};
+use serde::Serialize;
 
 use crate::design;
 
@@ -83,22 +84,47 @@ fn report(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         atomic::write_bytes(Target::new(path, args.force), html.as_bytes())?;
     }
     if args.json {
-        let rows: Vec<_> = found
-            .iter()
-            .map(|r| {
-                serde_json::json!({ "run": r.name, "score_db": r.best.score(), "held_out_psnr_db": r.best.held_out_db[1], "step": r.best.step,
-                    "seconds": r.last.seconds, "steps": r.last.step })
-            })
-            .collect();
-        writeln!(out, "{}", serde_json::json!({ "schema": 1, "runs": rows }))?;
+        let runs = found.iter().map(RunFigures::from).collect();
+        writeln!(out, "{}", numbered(&Figures { runs }))?;
         return Ok(());
     }
     writeln!(out, "{table}")?;
     Ok(())
 }
 
+/// Everything, for machines.
+#[derive(Serialize)]
+struct Figures<'a> {
+    runs: Vec<RunFigures<'a>>,
+}
+
+#[derive(Serialize)]
+struct RunFigures<'a> {
+    run: &'a str,
+    score_db: f64,
+    held_out_psnr_db: f64,
+    step: usize,
+    seconds: f64,
+    steps: usize,
+}
+
+impl<'a> From<&'a Ranked> for RunFigures<'a> {
+    fn from(r: &'a Ranked) -> Self {
+        let (best, last) = (&r.best, &r.last);
+        let [_, held_out_psnr_db] = best.held_out_db;
+        Self {
+            run: &r.name,
+            score_db: best.score(),
+            held_out_psnr_db,
+            step: best.step,
+            seconds: last.seconds,
+            steps: last.step,
+        }
+    }
+}
+
 /// The best designs first.
-fn ranking(found: &[isoplanat::design::joint::sweep::Ranked]) -> Table {
+fn ranking(found: &[Ranked]) -> Table {
     let mut table =
         Table::new(["rank", "run", "ranked by, dB", "held out dB", "capture dB", "at step", "of", "minutes"]);
     for (k, r) in found.iter().enumerate() {

@@ -123,12 +123,17 @@ impl AsBuiltReport<'_> {
 
     /// Everything, for machines.
     pub fn json(&self) -> Value {
-        let shares: Vec<Value> = SHARES
-            .iter()
-            .filter(|_| !self.figures.draws.is_empty())
-            .map(|s| {
-                let [rays, model] = self.figures.quantile(*s);
-                json!({ "share": s, "rms_mm": rays, "by_jacobian_mm": model })
+        #[derive(serde::Serialize)]
+        struct Quantile {
+            share: f64,
+            rms_mm: f64,
+            by_jacobian_mm: f64,
+        }
+        let shares = SHARES.iter().filter(|_| !self.figures.draws.is_empty());
+        let shares: Vec<Quantile> = shares
+            .map(|share| {
+                let [rms_mm, by_jacobian_mm] = self.figures.quantile(*share);
+                Quantile { share: *share, rms_mm, by_jacobian_mm }
             })
             .collect();
         json!({ "schema": 1, "lens": self.lens.name, "lens_sha256": self.lens.sha256(), "tolerances": self.file, "seed": self.seed,

@@ -8,13 +8,13 @@ use std::fmt::Write;
 
 use ndarray::Array3;
 use serde::Serialize;
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use super::evaluation::{Evaluation, Figure, Row};
 use super::html::{Fact, Page, Picture};
 use super::paired::against;
 use super::plot::{Mark, Plot, Series};
-use super::table::{Table, csv_cell, significant};
+use super::table::{Table, csv_cell, numbered, significant};
 use isoplanat_base::error::Result;
 
 pub use edges::EdgesAt;
@@ -137,6 +137,26 @@ fn paired(first: &Evaluation, other: &Evaluation) -> Option<f64> {
     half.is_finite().then_some(half)
 }
 
+/// All rows, for machines.
+#[derive(Serialize)]
+struct Everything {
+    title: String,
+    settings: BTreeMap<String, String>,
+    rows: Vec<EntrantRow>,
+}
+
+#[derive(Serialize)]
+struct EntrantRow {
+    lens: String,
+    network: String,
+    notes: Vec<String>,
+    overall: Option<Overall>,
+    first_ahead: Option<Margin>,
+    edges: Vec<EdgesAt>,
+    evaluation: Option<Evaluation>,
+    refused: Option<String>,
+}
+
 impl Comparison {
     fn first(&self) -> Option<&Evaluation> {
         self.entrants.first()?.outcome.as_ref().ok()
@@ -221,13 +241,23 @@ impl Comparison {
     /// Everything, for machines.
     pub fn json(&self) -> Value {
         let row = |(k, e): (usize, &Entrant)| {
-            let own = e.outcome.as_ref().ok();
-            json!({ "lens": e.name, "network": e.network, "notes": e.notes, "overall": own.and_then(Overall::of),
-                "first_ahead": self.margin(k), "edges": e.edges, "evaluation": own, "refused": e.outcome.as_ref().err() })
+            let evaluation = e.outcome.as_ref().ok().cloned();
+            EntrantRow {
+                lens: e.name.clone(),
+                network: e.network.clone(),
+                notes: e.notes.clone(),
+                overall: evaluation.as_ref().and_then(Overall::of),
+                first_ahead: self.margin(k),
+                edges: e.edges.clone(),
+                evaluation,
+                refused: e.outcome.as_ref().err().cloned(),
+            }
         };
-        let rows: Vec<Value> = self.entrants.iter().enumerate().map(row).collect();
-        let settings: BTreeMap<_, _> = self.settings.iter().map(|[k, v]| (k, v)).collect();
-        json!({ "schema": 1, "title": self.title, "settings": settings, "rows": rows })
+        numbered(&Everything {
+            title: self.title.clone(),
+            settings: self.settings.iter().map(|[k, v]| (k.clone(), v.clone())).collect(),
+            rows: self.entrants.iter().enumerate().map(row).collect(),
+        })
     }
 
     /// PSNR of reconstructions over the field, at distance `depth` of the judged ones, captures dashed.

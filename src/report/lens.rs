@@ -30,7 +30,7 @@ use isoplanat_base::error::Result;
 use isoplanat_base::math::memory::Limit;
 use isoplanat_optics::analysis::diffraction::Mtf;
 use isoplanat_optics::analysis::overview::{Field, Overview, Settings};
-use isoplanat_optics::analysis::wavefront::Map;
+use isoplanat_optics::analysis::wavefront::{Figures, Map};
 use isoplanat_optics::analysis::zernike::Fit;
 use isoplanat_optics::lens::Lens;
 use isoplanat_optics::psf::{Optics, Quadrature, SensorPoint};
@@ -196,7 +196,7 @@ pub struct SpotRow {
     mtf_change: f64,
     mtf_diffraction_error: Option<f64>,
     mtf_diffraction_residual_waves: Option<f64>,
-    wavefront: Option<Value>,
+    wavefront: Option<WavefrontRow>,
 }
 
 const SPOTS: [Column<SpotRow>; 11] = [
@@ -253,7 +253,7 @@ pub fn spot_rows(o: &Overview) -> Vec<SpotRow> {
             mtf_change: f.mtf_change,
             mtf_diffraction_error: waves.map(sampling_error),
             mtf_diffraction_residual_waves: waves.map(|m| m.residual_waves),
-            wavefront: f.map.as_ref().map(wavefront_json),
+            wavefront: f.map.as_ref().map(WavefrontRow::from),
         }
     };
     o.fields.iter().map(row).collect()
@@ -264,20 +264,45 @@ fn sampling_error(mtf: &Mtf) -> f64 {
     mtf.curves.iter().map(|c| c.error).fold(0.0, f64::max)
 }
 
-fn wavefront_json((map, fit): &(Map, Option<Fit>)) -> Value {
-    let zernike = fit.as_ref().map(|fit| {
-        let term = |(k, v): (usize, &f64)| json!({ "noll": k + 1, "name": fit.order.term(k + 1).map(|t| t.name()), "waves": v });
-        fit.coefficients.iter().enumerate().map(term).collect::<Vec<_>>()
-    });
-    json!({
-        "wavelength_nm": map.wavelength_nm,
-        "about_the_chief_ray": map.figures,
-        "about_the_best_point": map.best,
-        "best_point_mm": map.shift.to_array(),
-        "open_part": map.open,
-        "zernike": zernike,
-        "zernike_residual_rms_waves": fit.as_ref().map(|f| f.residual_rms),
-    })
+/// A map of path differences and its Zernike terms, for machines.
+#[derive(Clone, Debug, Serialize)]
+struct WavefrontRow {
+    wavelength_nm: f64,
+    about_the_chief_ray: Figures,
+    about_the_best_point: Figures,
+    best_point_mm: [f64; 3],
+    open_part: f64,
+    zernike: Option<Vec<Zernike>>,
+    zernike_residual_rms_waves: Option<f64>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+struct Zernike {
+    noll: usize,
+    name: Option<String>,
+    waves: f64,
+}
+
+impl From<&(Map, Option<Fit>)> for WavefrontRow {
+    fn from((map, fit): &(Map, Option<Fit>)) -> Self {
+        let terms = |fit: &Fit| {
+            let term = |(k, waves): (usize, &f64)| Zernike {
+                noll: k + 1,
+                name: fit.order.term(k + 1).map(|t| t.name()),
+                waves: *waves,
+            };
+            fit.coefficients.iter().enumerate().map(term).collect()
+        };
+        Self {
+            wavelength_nm: map.wavelength_nm,
+            about_the_chief_ray: map.figures,
+            about_the_best_point: map.best,
+            best_point_mm: map.shift.to_array(),
+            open_part: map.open,
+            zernike: fit.as_ref().map(terms),
+            zernike_residual_rms_waves: fit.as_ref().map(|f| f.residual_rms),
+        }
+    }
 }
 
 /// The spots on the sensor as one drawing (SVG).

@@ -2,12 +2,13 @@
 
 use std::fmt;
 
-use serde_json::{Value, json};
+use serde::Serialize;
+use serde_json::Value;
 
 use super::columns::{Column, csv, table};
 use super::drawing::lens_svg_within;
 use super::html::Page;
-use super::table::{Table, significant};
+use super::table::{Table, numbered, significant};
 use isoplanat_optics::lens::paraxial::{FirstOrder, first_order};
 use isoplanat_optics::lens::{Lens, Medium};
 
@@ -58,7 +59,11 @@ impl Library {
 
     /// One JSON object with a list of the lenses.
     pub fn json(&self) -> Value {
-        json!({ "schema": 1, "lenses": self.entries.iter().map(Entry::json).collect::<Vec<_>>() })
+        #[derive(Serialize)]
+        struct Everything<'a> {
+            lenses: Vec<EntryRow<'a>>,
+        }
+        numbered(&Everything { lenses: self.entries.iter().map(EntryRow::from).collect() })
     }
 
     /// A lens a row.
@@ -90,28 +95,50 @@ impl fmt::Display for Library {
     }
 }
 
-impl Entry {
-    fn json(&self) -> Value {
-        let (lens, first) = (&self.lens, &self.first);
-        json!({
-            "name": self.key,
-            "title": lens.name,
-            "source": lens.source,
-            "sha256": lens.sha256(),
-            "wavelength_nm": lens.wavelengths.primary_nm,
-            "effective_focal_length_mm": first.effective_focal_length,
-            "back_focal_length_mm": first.back_focal_length,
-            "f_number": first.f_number,
-            "entrance_pupil_diameter_mm": first.entrance_pupil_diameter,
-            "max_field_deg": lens.max_field_deg(),
-            "elements": elements(lens),
-            "surfaces": lens.surfaces.len(),
-            "aspheric_surfaces": aspheres(lens),
-            "length_mm": lens.length(),
-            "object_distance_mm": 1.0 / lens.object_vergence,
-        })
-    }
+/// A lens, for machines.
+#[derive(Serialize)]
+struct EntryRow<'a> {
+    name: &'a str,
+    title: &'a str,
+    source: &'a str,
+    sha256: String,
+    wavelength_nm: f64,
+    effective_focal_length_mm: f64,
+    back_focal_length_mm: f64,
+    f_number: f64,
+    entrance_pupil_diameter_mm: f64,
+    max_field_deg: f64,
+    elements: usize,
+    surfaces: usize,
+    aspheric_surfaces: usize,
+    length_mm: f64,
+    object_distance_mm: f64,
+}
 
+impl<'a> From<&'a Entry> for EntryRow<'a> {
+    fn from(entry: &'a Entry) -> Self {
+        let (lens, first) = (&entry.lens, &entry.first);
+        Self {
+            name: &entry.key,
+            title: &lens.name,
+            source: &lens.source,
+            sha256: lens.sha256(),
+            wavelength_nm: lens.wavelengths.primary_nm,
+            effective_focal_length_mm: first.effective_focal_length,
+            back_focal_length_mm: first.back_focal_length,
+            f_number: first.f_number,
+            entrance_pupil_diameter_mm: first.entrance_pupil_diameter,
+            max_field_deg: lens.max_field_deg(),
+            elements: elements(lens),
+            surfaces: lens.surfaces.len(),
+            aspheric_surfaces: aspheres(lens),
+            length_mm: lens.length(),
+            object_distance_mm: 1.0 / lens.object_vergence,
+        }
+    }
+}
+
+impl Entry {
     fn card(&self) -> (String, String, Vec<String>) {
         let (lens, first) = (&self.lens, &self.first);
         let shapes = match aspheres(lens) {

@@ -22,6 +22,7 @@ mod target;
 
 use std::time::Instant;
 
+use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::field::FieldLine;
@@ -172,6 +173,38 @@ fn middle<const N: usize>(points: &[[f64; N]]) -> f64 {
     points.get(points.len() / 2).map_or(f64::NAN, |p| p[1])
 }
 
+/// What one picture of an edge shows, for machines; or why it shows nothing.
+#[derive(Serialize)]
+#[serde(untagged)]
+enum EdgeRow {
+    Measured {
+        mtf50_cy_per_px: Option<f64>,
+        edge_normal_deg: f64,
+        warnings: Vec<String>,
+        mtf_cy_per_mm_value_uncertainty: Vec<[f64; 3]>,
+    },
+    Refused {
+        error: String,
+    },
+}
+
+/// One direction at one place.
+#[derive(Serialize)]
+struct DirectionRow {
+    direction: &'static str,
+    design_cy_per_mm_value: Vec<[f64; 2]>,
+    capture: EdgeRow,
+    reconstruction: Option<EdgeRow>,
+}
+
+/// One place of the field.
+#[derive(Serialize)]
+struct PlaceRow {
+    height_mm: f64,
+    side_px: usize,
+    edges: Vec<DirectionRow>,
+}
+
 impl Measured {
     /// Largest difference between the capture's MTF and the prediction of any edge up to half a cycle a pixel; nothing where no edge was
     /// measured.
@@ -289,25 +322,24 @@ impl Measured {
     /// As JSON: by place and direction the design, and what was measured with its uncertainty.
     pub fn json(&self) -> Value {
         let measured = |p: &EdgePlace, found: &Result<EdgeMeasurement, String>| match found {
-            Ok(e) => json!({
-                "mtf50_cy_per_px": e.mtf50.map(|c| c.frequency),
-                "edge_normal_deg": e.normal_deg,
-                "warnings": e.warnings,
-                "mtf_cy_per_mm_value_uncertainty": curve(e, p.texels, self.pitch_mm),
-            }),
-            Err(why) => json!({ "error": why }),
+            Ok(e) => EdgeRow::Measured {
+                mtf50_cy_per_px: e.mtf50.map(|c| c.frequency),
+                edge_normal_deg: e.normal_deg,
+                warnings: e.warnings.clone(),
+                mtf_cy_per_mm_value_uncertainty: curve(e, p.texels, self.pitch_mm),
+            },
+            Err(why) => EdgeRow::Refused { error: why.clone() },
         };
-        let edge = |p: &EdgePlace, k: usize, e: &Edge| {
-            json!({
-                "direction": NAMES[k],
-                "design_cy_per_mm_value": e.design,
-                "capture": measured(p, &e.capture),
-                "reconstruction": e.reconstruction.as_ref().map(|r| measured(p, r)),
-            })
+        let edge = |p: &EdgePlace, (k, e): (usize, &Edge)| DirectionRow {
+            direction: NAMES[k],
+            design_cy_per_mm_value: e.design.clone(),
+            capture: measured(p, &e.capture),
+            reconstruction: e.reconstruction.as_ref().map(|r| measured(p, r)),
         };
-        let place = |p: &EdgePlace| {
-            let edges: Vec<Value> = p.edges.iter().enumerate().map(|(k, e)| edge(p, k, e)).collect();
-            json!({ "height_mm": p.height_mm, "side_px": p.side, "edges": edges })
+        let place = |p: &EdgePlace| PlaceRow {
+            height_mm: p.height_mm,
+            side_px: p.side,
+            edges: p.edges.iter().enumerate().map(|e| edge(p, e)).collect(),
         };
         json!({
             "rays_per_pixel": self.settings.rays,

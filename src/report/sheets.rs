@@ -5,6 +5,7 @@ mod rows;
 mod tables;
 mod words;
 
+use serde::Serialize;
 use serde_json::{Value, json};
 
 use self::words::{NOT_STATED, fixed, number, superscript};
@@ -13,7 +14,9 @@ use super::html::{Fact, Page};
 use super::table::{Table, significant};
 use isoplanat_optics::analysis::fabrication::Fabrication;
 use isoplanat_optics::analysis::fabrication::element::Element;
-use isoplanat_optics::analysis::fabrication::tolerances::Tolerances;
+use isoplanat_optics::analysis::fabrication::face::Face;
+use isoplanat_optics::analysis::fabrication::mount::{Clearance, Mount};
+use isoplanat_optics::analysis::fabrication::tolerances::{OfSurface, Tolerances};
 use isoplanat_optics::lens::Lens;
 
 /// Largest size of the lens's drawing, px.
@@ -30,6 +33,27 @@ pub struct Sheets<'a> {
     pub tolerances: &'a Tolerances,
     /// Files of the folder with what the lens is in them, and why others are not there: name and words.
     pub files: &'a [(String, String)],
+}
+
+/// How the lens is held, for machines.
+#[derive(Serialize)]
+struct MountRow {
+    mount: Mount,
+    clearance: Option<Clearance>,
+}
+
+/// A file beside the page.
+#[derive(Serialize)]
+struct FileRow<'a> {
+    file: &'a str,
+    what: &'a str,
+}
+
+/// What a face is held to.
+#[derive(Serialize)]
+struct FaceRow {
+    surface: usize,
+    stated: OfSurface,
 }
 
 impl Sheets<'_> {
@@ -66,8 +90,9 @@ impl Sheets<'_> {
     /// The page's numbers as one JSON object.
     pub fn json(&self) -> Value {
         let (lens, made) = (self.lens, self.made);
-        let mount = made.mount.map(|(mount, clearance)| json!({ "mount": mount, "clearance": clearance }));
-        let files: Vec<Value> = self.files.iter().map(|(name, words)| json!({ "file": name, "what": words })).collect();
+        let mount = made.mount.map(|(mount, clearance)| MountRow { mount, clearance });
+        let files: Vec<_> = self.files.iter().map(|(file, what)| FileRow { file, what }).collect();
+        let of_face = |f: &Face| FaceRow { surface: f.surface, stated: self.tolerances.surface(f.surface) };
         json!({
             "schema": 1,
             "name": lens.name,
@@ -84,7 +109,7 @@ impl Sheets<'_> {
             "tolerances": self.tolerances.file,
             "test_wavelength_nm": self.tolerances.test_wavelength_nm,
             "of_elements": made.elements.iter().map(|e| self.tolerances.element(e.first())).collect::<Vec<_>>(),
-            "of_faces": made.faces().map(|(_, f)| json!({ "surface": f.surface, "stated": self.tolerances.surface(f.surface) })).collect::<Vec<_>>(),
+            "of_faces": made.faces().map(|(_, f)| of_face(f)).collect::<Vec<_>>(),
             "faults": made.faults,
             "notes": made.notes,
             "files": files,

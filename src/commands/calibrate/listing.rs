@@ -9,6 +9,7 @@ use isoplanat::calibrate::View;
 use isoplanat::calibrate::solve::{Fit, Settings, rms};
 use isoplanat::report::residuals::{Residuals, Seen};
 use isoplanat::report::table::{Table, significant};
+use serde::Serialize;
 use serde_json::{Value, json};
 
 /// A picture that is off by so many times the whole is worth a look.
@@ -39,6 +40,17 @@ struct Figures {
     worst: f64,
     bent: f64,
     straight: f64,
+}
+
+/// One picture, for machines.
+#[derive(Serialize)]
+struct Picture {
+    picture: String,
+    corners: usize,
+    rms_px: f64,
+    worst_px: f64,
+    bend_px: f64,
+    bend_straightened_px: f64,
 }
 
 impl Listing {
@@ -118,13 +130,18 @@ impl Listing {
     }
 
     pub(super) fn json(&self) -> Value {
-        let pictures: Vec<Value> = (0..self.charts.len())
-            .map(|k| {
-                let (f, chart) = (self.figures(k), &self.charts[k]);
-                json!({ "picture": chart.path.display().to_string(), "corners": chart.view.seen.len(), "rms_px": f.rms,
-                    "worst_px": f.worst, "bend_px": f.bent, "bend_straightened_px": f.straight })
-            })
-            .collect();
+        let picture = |k: usize| {
+            let (f, chart) = (self.figures(k), &self.charts[k]);
+            Picture {
+                picture: chart.path.display().to_string(),
+                corners: chart.view.seen.len(),
+                rms_px: f.rms,
+                worst_px: f.worst,
+                bend_px: f.bent,
+                bend_straightened_px: f.straight,
+            }
+        };
+        let pictures: Vec<_> = (0..self.charts.len()).map(picture).collect();
         let (camera, errors) = (&self.fit.camera, &self.fit.errors);
         json!({
             "schema": 1,

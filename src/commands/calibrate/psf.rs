@@ -3,13 +3,13 @@
 use std::fmt;
 
 use isoplanat::calibrate::View;
-use isoplanat::calibrate::psf::{Edges, Measured, Pixels, Settings, side};
+use isoplanat::calibrate::psf::{Edges, Measured, Pixels, Quality, Settings, side};
 use isoplanat::calibrate::solve::Fit;
 use isoplanat::report::atlas::{Style, picture as atlas};
 use isoplanat::report::table::{Table, significant};
 use isoplanat::{Error, Result};
 use ndarray::{Array3, Array4};
-use serde_json::{Value, json};
+use serde::Serialize;
 
 use super::listing::Chart;
 use crate::picture;
@@ -80,6 +80,30 @@ pub(super) fn measure(
     Ok(Spread { measured, names, angles, reach_px: edges.reach_px(), rms_px: fit.rms_px(), left_out, used })
 }
 
+/// Kernels over the field, for machines.
+#[derive(Serialize)]
+pub(super) struct Figures<'a> {
+    radii_px: &'a [f64],
+    field_deg: &'a [f64],
+    reach_px: f64,
+    spacing_px: f64,
+    photographs: usize,
+    channels: Vec<Channel<'a>>,
+    left_out: Vec<String>,
+    warnings: Vec<String>,
+}
+
+/// One colour: how well it is known, and its widths by radius.
+#[derive(Serialize)]
+struct Channel<'a> {
+    channel: &'a str,
+    #[serde(flatten)]
+    quality: &'a Quality,
+    mean_along_px: Vec<f64>,
+    rms_along_px: Vec<f64>,
+    rms_across_px: Vec<f64>,
+}
+
 impl Spread {
     /// Kernels side by side, from the centre outwards; the outward direction is up.
     pub(super) fn picture(&self) -> Array3<f32> {
@@ -127,26 +151,24 @@ impl Spread {
         out
     }
 
-    pub(super) fn json(&self) -> Value {
+    /// For machines.
+    pub(super) fn figures(&self) -> Figures<'_> {
         let psf = &self.measured.psf;
-        let channels: Vec<Value> = self
-            .names
-            .iter()
-            .zip(&self.measured.quality)
-            .enumerate()
-            .map(|(c, (name, q))| {
-                let widths: Vec<[f64; 3]> = psf.radii_px.iter().map(|r| psf.widths(*r, c)).collect();
-                json!({ "channel": name, "pixels": q.pixels, "smoothness": q.smoothness, "rms": q.rms,
-                    "held_out_rms": q.held_out_rms, "noise": q.noise, "half_difference": q.half_difference,
-                    "at_the_end": q.at_the_end, "sum_error": q.sum_error,
-                    "mean_along_px": widths.iter().map(|w| w[0]).collect::<Vec<_>>(),
-                    "rms_along_px": widths.iter().map(|w| w[1]).collect::<Vec<_>>(),
-                    "rms_across_px": widths.iter().map(|w| w[2]).collect::<Vec<_>>() })
-            })
-            .collect();
-        json!({ "radii_px": psf.radii_px, "field_deg": self.angles, "reach_px": self.reach_px,
-            "spacing_px": psf.moves.spacing_px, "photographs": self.used, "channels": channels,
-            "left_out": self.left_out.iter().map(ToString::to_string).collect::<Vec<_>>(), "warnings": self.warnings() })
+        let channel = |(c, (channel, quality))| {
+            let widths: Vec<[f64; 3]> = psf.radii_px.iter().map(|r| psf.widths(*r, c)).collect();
+            let [mean_along_px, rms_along_px, rms_across_px] = [0, 1, 2].map(|k| widths.iter().map(|w| w[k]).collect());
+            Channel { channel, quality, mean_along_px, rms_along_px, rms_across_px }
+        };
+        Figures {
+            radii_px: &psf.radii_px,
+            field_deg: &self.angles,
+            reach_px: self.reach_px,
+            spacing_px: psf.moves.spacing_px,
+            photographs: self.used,
+            channels: self.names.iter().copied().zip(&self.measured.quality).enumerate().map(channel).collect(),
+            left_out: self.left_out.iter().map(ToString::to_string).collect(),
+            warnings: self.warnings(),
+        }
     }
 }
 

@@ -14,9 +14,10 @@ use isoplanat::lens::Lens;
 use isoplanat::math::memory::words;
 use isoplanat::report::atlas;
 use isoplanat::report::columns::{self, Column};
-use isoplanat::report::table::significant;
+use isoplanat::report::table::{numbered, significant};
 use isoplanat::{Error, Result};
-use serde_json::{Value, json};
+use serde::Serialize;
+use serde_json::Value;
 
 /// What the file is to be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -166,9 +167,18 @@ pub(super) fn run(args: &super::Args, lens: Lens, out: &mut dyn Write) -> anyhow
     }
     let (count, _, size, _) = map.kernels.dim();
     if args.common.json {
-        let value = json!({ "schema": 1, "form": name(args.form), "kernels": count, "size_px": size, "pitch_um": frame.pitch_mm * 1e3,
-            "columns": frame.columns, "rows": frame.rows, "distance_mm": distance(request.vergence), "diffraction": map.diffraction.as_ref().map(super::told_json), "places": rows.iter().map(Row::json).collect::<Vec<_>>() });
-        writeln!(out, "{value}")?;
+        let figures = Figures {
+            form: name(args.form),
+            kernels: count,
+            size_px: size,
+            pitch_um: frame.pitch_mm * 1e3,
+            columns: frame.columns,
+            rows: frame.rows,
+            distance_mm: distance(request.vergence),
+            diffraction: map.diffraction.as_ref().map(super::Told::from),
+            places: rows.iter().map(PlaceFigures::from).collect(),
+        };
+        writeln!(out, "{}", numbered(&figures))?;
         return Ok(());
     }
     let shown = &rows[..rows.len().min(PRINTED)];
@@ -198,10 +208,34 @@ fn distance(vergence: f64) -> Value {
     if vergence == 0.0 { Value::from("inf") } else { Value::from(vergence.recip()) }
 }
 
-impl Row {
-    fn json(&self) -> Value {
-        json!({ "row_px": self.place[0], "col_px": self.place[1], "height_mm": self.height_mm, "distortion": self.distortion,
-            "relative_illumination": self.illumination, "outside": self.outside })
+/// Everything, for machines.
+#[derive(Serialize)]
+struct Figures {
+    form: String,
+    kernels: usize,
+    size_px: usize,
+    pitch_um: f64,
+    columns: usize,
+    rows: usize,
+    distance_mm: Value,
+    diffraction: Option<super::Told>,
+    places: Vec<PlaceFigures>,
+}
+
+#[derive(Serialize)]
+struct PlaceFigures {
+    row_px: Option<isize>,
+    col_px: Option<isize>,
+    height_mm: f64,
+    distortion: f64,
+    relative_illumination: f64,
+    outside: f64,
+}
+
+impl From<&Row> for PlaceFigures {
+    fn from(row: &Row) -> Self {
+        let Row { place: [row_px, col_px], height_mm, distortion, illumination, outside } = *row;
+        Self { row_px, col_px, height_mm, distortion, relative_illumination: illumination, outside }
     }
 }
 

@@ -78,7 +78,7 @@ pub struct Pixels<'a> {
 }
 
 /// How a channel's fit came out.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, serde::Serialize)]
 pub struct Quality {
     /// Smoothness that predicted best.
     pub smoothness: f64,
