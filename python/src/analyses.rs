@@ -2,14 +2,15 @@
 
 use std::path::Path;
 
-use isoplanat::analysis::overview::Overview;
 use isoplanat::atomic::{Target, check_target, write_bytes};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::math::memory::Limit;
 use isoplanat::report::drawing::lens_svg;
-use isoplanat::report::lens::{LensReport, Options, SHIFTS, arrays, html as page, look, plots, plots_json, spot_rows};
+use isoplanat::report::lens::analysis::{Analysis, Asked, Refused};
+use isoplanat::report::lens::{LensReport, Options, html as page};
 use isoplanat::report::listing::Listing;
+use isoplanat::report::table::value;
 use isoplanat::{Lens, Result};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -18,14 +19,6 @@ use serde_json::{Value, json};
 use crate::arrays::given;
 use crate::errors::{raised, refused};
 use crate::work::{here, work};
-
-/// Which analysis.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Kind {
-    Mtf,
-    Spot,
-    Distortion,
-}
 
 /// How it is looked at; what is left out is the commands' own.
 pub(crate) struct Look {
@@ -44,25 +37,10 @@ impl Default for Look {
 
 impl Look {
     fn options(&self) -> PyResult<Options> {
-        if !(16..=1_000_000).contains(&self.rays) {
-            return Err(refused("rays", self.rays, "16 to 1000000"));
-        }
-        let within = |name: &str, value: Option<f64>, allowed: std::ops::RangeInclusive<f64>, words: &str| match value {
-            Some(v) if !allowed.contains(&v) => Err(refused(name, v, words)),
-            _ => Ok(value),
-        };
-        Ok(Options {
-            rays: self.rays,
-            max_angle_deg: within("max_angle_deg", self.max_angle_deg, 0.0..=120.0, "0 to 120 degrees")?,
-            cycles_per_mm: within("max_cycles_per_mm", self.max_cycles_per_mm, 1e-3..=1e5, "0.001 to 100000")?,
-            shift_mm: within("shift_mm", self.shift_mm, 1e-6..=1e3, "1e-6 to 1000 mm")?,
-            shifts: SHIFTS,
-            whole: true,
-            energy: true,
-            colour: false,
-            psf_depths_mm: Vec::new(),
-            memory: Limit::of_process(),
-        })
+        let Self { rays, max_angle_deg, max_cycles_per_mm, shift_mm, .. } = *self;
+        let asked = Asked { rays, max_angle_deg, max_cycles_per_mm, shift_mm };
+        let told = |Refused { name, found, allowed }: Refused| refused(name, found, allowed);
+        asked.options(Limit::of_process()).map_err(told)
     }
 }
 
@@ -80,15 +58,12 @@ pub(crate) fn inspect(py: Python<'_>, lens: &Lens, wavelength_nm: Option<f64>) -
     python(py, &here(|| Ok(Listing::new(lens, nm).json()))?)
 }
 
-pub(crate) fn analysis(py: Python<'_>, lens: &Lens, kind: Kind, asked: Look) -> PyResult<Py<PyAny>> {
-    // Spots need no maps and no MTF by diffraction, distortion no waves at all.
-    let options = Options { whole: kind == Kind::Mtf, energy: kind == Kind::Spot, ..asked.options()? };
+pub(crate) fn analysis(py: Python<'_>, lens: &Lens, analysis: Analysis, asked: Look) -> PyResult<Py<PyAny>> {
+    let options = asked.options()?;
     let lens = crate::lens::at(lens, asked.distance_mm)?;
     let (told, arrays) = work(py, || {
-        let (overview, missing) = look(&lens, &options);
-        let curves: Vec<_> = plots(&overview).into_iter().filter(|(name, _)| kind.shows(name)).collect();
-        let told = json!({ "fields": spot_rows(&overview), "plots": plots_json(&curves), "missing": missing });
-        Ok((told, kind.arrays(&overview)))
+        let found = analysis.of(&lens, &options);
+        Ok((value(&found.shown())?, analysis.arrays(&found.overview)))
     })?;
     let told = python(py, &told)?;
     let all = told.bind(py).cast::<PyDict>()?;
@@ -96,25 +71,6 @@ pub(crate) fn analysis(py: Python<'_>, lens: &Lens, kind: Kind, asked: Look) -> 
         all.set_item(name, given(py, array))?;
     }
     Ok(told)
-}
-
-impl Kind {
-    /// Whether the plot `name` belongs to it.
-    fn shows(self, name: &str) -> bool {
-        match self {
-            Self::Mtf => name.starts_with("mtf"),
-            Self::Spot => ["rms_focus", "encircled_energy"].contains(&name),
-            Self::Distortion => name == "distortion",
-        }
-    }
-
-    fn arrays(self, overview: &Overview) -> arrays::Arrays {
-        match self {
-            Self::Mtf => arrays::mtf(overview),
-            Self::Spot => arrays::spot(overview),
-            Self::Distortion => arrays::distortion(overview),
-        }
-    }
 }
 
 pub(crate) fn report(

@@ -8,6 +8,7 @@ use isoplanat::atomic::{Target, check_target, write_bytes};
 use isoplanat::interchange::{Form, lens_or_file, text_of};
 use isoplanat::lens::prescription;
 use isoplanat::report::drawing::lens_svg;
+use isoplanat::report::lens::analysis::Analysis;
 use isoplanat::report::listing::Listing;
 use isoplanat::trace::rims::overlapping_rims;
 use isoplanat::{Error, Glasses, LensGradient, Parameter, Result, builtin};
@@ -15,7 +16,7 @@ use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::analyses::{Kind, Look};
+use crate::analyses::Look;
 use crate::arrays::Several;
 use crate::errors::raised;
 use crate::frame::Frame;
@@ -421,7 +422,7 @@ impl Lens {
         max_angle_deg: Option<f64>,
     ) -> PyResult<Py<PyAny>> {
         let look = Look { distance_mm, rays, max_angle_deg, ..Look::default() };
-        crate::analyses::analysis(py, &self.inner, Kind::Spot, look)
+        crate::analyses::analysis(py, &self.inner, Analysis::Spot, look)
     }
 
     /// Modulation transfer by rays and by diffraction: `fields`, `plots`, and arrays `mtf`, `mtf_diffraction` [shift, field, frequency, direction],
@@ -437,14 +438,14 @@ impl Lens {
         shift_mm: Option<f64>,
     ) -> PyResult<Py<PyAny>> {
         let look = Look { distance_mm, rays, max_angle_deg, max_cycles_per_mm, shift_mm };
-        crate::analyses::analysis(py, &self.inner, Kind::Mtf, look)
+        crate::analyses::analysis(py, &self.inner, Analysis::Mtf, look)
     }
 
     /// Distortion over the field: `plots`, and arrays `angle_height_percent` [field, 3] (degrees, mm, per cent), `percent_of_focal_length`.
     #[pyo3(signature = (*, distance_mm = None, max_angle_deg = None))]
     fn distortion(&self, py: Python<'_>, distance_mm: Option<f64>, max_angle_deg: Option<f64>) -> PyResult<Py<PyAny>> {
         let look = Look { distance_mm, max_angle_deg, ..Look::default() };
-        crate::analyses::analysis(py, &self.inner, Kind::Distortion, look)
+        crate::analyses::analysis(py, &self.inner, Analysis::Distortion, look)
     }
 
     /// Everything about the lens on one page, written to `file` (.html) where one is given; returns its numbers, as `isoplanat report --json`.

@@ -7,27 +7,13 @@ use isoplanat::analysis::overview::Overview;
 use isoplanat::atomic::Target;
 use isoplanat::lens::Lens;
 use isoplanat::math::npz;
-use isoplanat::report::lens::{
-    Options, SHIFTS, SpotRow, arrays, look, plots, plots_csv, plots_json, spot_rows, spot_svg, spot_table,
-};
-use isoplanat::report::plot::Plot;
+use isoplanat::report::lens::analysis::{Analysis, Asked, Refused, Shown};
+use isoplanat::report::lens::{Options, plots_csv, spot_svg, spot_table};
 use isoplanat::report::table::{Table, numbered, significant};
 use isoplanat::{Error, Result};
-use serde_json::Value;
 
 use crate::named::Named;
 use crate::output::Common;
-
-/// Which analysis.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Kind {
-    /// MTF of rays and by diffraction against frequency, field and focus.
-    Mtf,
-    /// Spots by field.
-    Spot,
-    /// Distortion over the field.
-    Distortion,
-}
 
 /// What every look at a lens's rays can be told.
 #[derive(Clone, Debug, clap::Args)]
@@ -65,21 +51,10 @@ impl View {
 
     /// The checked options; kernels are grey.
     pub(crate) fn options(&self) -> Result<Options> {
-        let within = |flag: &str, value: Option<f64>, allowed: std::ops::RangeInclusive<f64>, words: &str| match value {
-            Some(v) if !allowed.contains(&v) => Err(Error::bad(flag, "value", v.to_string(), words)),
-            _ => Ok(value),
-        };
-        Ok(Options {
-            rays: self.rays as usize,
-            max_angle_deg: within("--max-angle-deg", self.max_angle_deg, 0.0..=120.0, "0 to 120 degrees")?,
-            cycles_per_mm: within("--max-cycles-per-mm", self.max_cycles_per_mm, 1e-3..=1e5, "0.001 to 100000")?,
-            shift_mm: within("--shift-mm", self.shift_mm, 1e-6..=1e3, "1e-6 to 1000 mm")?,
-            shifts: SHIFTS,
-            whole: true,
-            energy: true,
-            colour: false,
-            psf_depths_mm: Vec::new(),
-            memory: crate::memory::limit(),
+        let Self { max_angle_deg, max_cycles_per_mm, shift_mm, .. } = *self;
+        let asked = Asked { rays: self.rays as usize, max_angle_deg, max_cycles_per_mm, shift_mm };
+        asked.options(crate::memory::limit()).map_err(|Refused { name, found, allowed }| {
+            Error::bad(format!("--{}", name.replace('_', "-")), "value", found.to_string(), allowed)
         })
     }
 }
@@ -106,44 +81,42 @@ pub(crate) struct Args {
 
 /// The result as JSON has it.
 #[derive(serde::Serialize)]
-struct Shown<'a> {
+struct Figures<'a> {
     name: &'a str,
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    fields: Vec<SpotRow>,
-    plots: Value,
-    missing: Vec<String>,
+    #[serde(flatten)]
+    shown: Shown,
 }
 
 /// Runs the command; figures go to `out`.
-pub(crate) fn run(kind: Kind, args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
+pub(crate) fn run(analysis: Analysis, args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     crate::output::check_all(&[args.svg.as_deref(), args.csv.as_deref(), args.npz.as_deref()], args.common.force)?;
-    // Spots need no maps and no MTF by diffraction, distortion no waves at all.
-    let options = Options { whole: kind == Kind::Mtf, energy: kind == Kind::Spot, ..args.view.options()? };
+    let options = args.view.options()?;
     let lens = args.view.lens(&args.lens)?;
     // A spot of each of five fields and every wavelength; curves take far less.
-    let rays = 5 * lens.wavelengths.nm.len() * options.rays;
-    let waiting = crate::long::waiting(kind.name(), &lens, rays);
-    let (overview, missing) = look(&lens, &options);
+    let rays = if analysis == Analysis::Distortion { 0 } else { 5 * lens.wavelengths.nm.len() * options.rays };
+    let waiting = crate::long::waiting(analysis.name(), &lens, rays);
+    let found = analysis.of(&lens, &options);
     drop(waiting);
-    let curves: Vec<(&'static str, Plot)> = plots(&overview).into_iter().filter(|(n, _)| kind.shows(n)).collect();
     if let Some(path) = &args.svg {
-        let drawing = if kind == Kind::Spot { spot_svg(&overview) } else { curves[0].1.to_svg() };
+        let drawing = if analysis == Analysis::Spot { spot_svg(&found.overview) } else { found.curves[0].1.to_svg() };
         crate::output::put(&drawing, Some(path), args.common.force, out)?;
     }
     if let Some(path) = &args.csv {
-        crate::output::put(&plots_csv(&curves), Some(path), args.common.force, out)?;
+        crate::output::put(&plots_csv(&found.curves), Some(path), args.common.force, out)?;
     }
     if let Some(path) = &args.npz {
-        save(kind, &overview, Target::new(path, args.common.force))?;
+        let all = analysis.arrays(&found.overview);
+        npz::write(Target::new(path, args.common.force), |npz| {
+            npz.add_array("schema", &ndarray::arr0(1_i64))?;
+            all.iter().try_for_each(|(name, array)| npz.add_array(*name, array))
+        })?;
     }
     if args.common.json {
-        let fields = if kind == Kind::Distortion { Vec::new() } else { spot_rows(&overview) };
-        let shown = Shown { name: &lens.name, fields, plots: plots_json(&curves), missing };
-        writeln!(out, "{}", numbered(&shown))?;
+        writeln!(out, "{}", numbered(&Figures { name: &lens.name, shown: found.shown() }))?;
         return Ok(());
     }
-    missing.iter().for_each(|m| crate::tell!("note: {}: {m}", lens.file()));
-    write!(out, "{}", kind.table(&overview))?;
+    found.missing.iter().for_each(|m| crate::tell!("note: {}: {m}", lens.file()));
+    write!(out, "{}", table(analysis, &found.overview))?;
     Ok(())
 }
 
@@ -152,62 +125,28 @@ fn figure(value: f64, words: impl Fn(f64) -> String) -> String {
     if value.is_finite() { words(value) } else { "–".to_owned() }
 }
 
-impl Kind {
-    /// What runs.
-    fn name(self) -> &'static str {
-        match self {
-            Self::Mtf => "mtf",
-            Self::Spot => "spot",
-            Self::Distortion => "distortion",
-        }
-    }
-
-    /// Whether the plot `name` belongs to it.
-    fn shows(self, name: &str) -> bool {
-        match self {
-            Self::Mtf => name.starts_with("mtf"),
-            Self::Spot => ["rms_focus", "encircled_energy"].contains(&name),
-            Self::Distortion => name == "distortion",
-        }
-    }
-
-    /// Its figures.
-    fn table(self, o: &Overview) -> Table {
-        match self {
-            Self::Spot => spot_table(o),
-            Self::Distortion => {
-                let mut table = Table::new(["field/deg", "image height/mm", "distortion/%", "of f tan θ/%"]);
-                for r in &o.curve {
-                    let [axis, focal] = [r.distortion_percent, r.distortion_of_focal_length]
-                        .map(|percent| figure(percent, |v| significant(v, 5)));
-                    table.row([significant(r.angle_deg, 5), significant(r.height, 7), axis, focal]);
-                }
-                table
+/// Its figures.
+fn table(analysis: Analysis, o: &Overview) -> Table {
+    match analysis {
+        Analysis::Spot => spot_table(o),
+        Analysis::Distortion => {
+            let mut table = Table::new(["field/deg", "image height/mm", "distortion/%", "of f tan θ/%"]);
+            for r in &o.curve {
+                let [axis, focal] = [r.distortion_percent, r.distortion_of_focal_length]
+                    .map(|percent| figure(percent, |v| significant(v, 5)));
+                table.row([significant(r.angle_deg, 5), significant(r.height, 7), axis, focal]);
             }
-            Self::Mtf => {
-                let angle = |f: &isoplanat::analysis::overview::Field| significant(f.angle_deg, 4);
-                let names = o.fields.iter().flat_map(|f| [format!("{}° T", angle(f)), format!("{}° S", angle(f))]);
-                let mut table = Table::new(std::iter::once("cycles/mm".to_owned()).chain(names));
-                for (k, f) in o.cycles_per_mm.iter().enumerate() {
-                    let values =
-                        o.fields.iter().flat_map(|field| field.mtf[k]).map(|v| figure(v, |v| format!("{v:.4}")));
-                    table.row(std::iter::once(significant(*f, 5)).chain(values));
-                }
-                table
+            table
+        }
+        Analysis::Mtf => {
+            let angle = |f: &isoplanat::analysis::overview::Field| significant(f.angle_deg, 4);
+            let names = o.fields.iter().flat_map(|f| [format!("{}° T", angle(f)), format!("{}° S", angle(f))]);
+            let mut table = Table::new(std::iter::once("cycles/mm".to_owned()).chain(names));
+            for (k, f) in o.cycles_per_mm.iter().enumerate() {
+                let values = o.fields.iter().flat_map(|field| field.mtf[k]).map(|v| figure(v, |v| format!("{v:.4}")));
+                table.row(std::iter::once(significant(*f, 5)).chain(values));
             }
+            table
         }
     }
-}
-
-/// Writes the numbers of `kind` under their names.
-fn save(kind: Kind, o: &Overview, to: Target<'_>) -> Result<()> {
-    let all = match kind {
-        Kind::Mtf => arrays::mtf(o),
-        Kind::Spot => arrays::spot(o),
-        Kind::Distortion => arrays::distortion(o),
-    };
-    npz::write(to, |npz| {
-        npz.add_array("schema", &ndarray::arr0(1_i64))?;
-        all.iter().try_for_each(|(name, array)| npz.add_array(*name, array))
-    })
 }

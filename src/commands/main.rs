@@ -71,6 +71,7 @@ use clap::{CommandFactory, Parser};
 use isoplanat::Error;
 use isoplanat::interchange::Reading;
 use isoplanat::math::simd::check_environment;
+use isoplanat::report::lens::analysis::Analysis;
 use isoplanat::terminal::Printable;
 
 /// Designs a camera lens and its reconstruction network together, and runs the result on real captures.
@@ -207,9 +208,9 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Optimize(args) => optimize::run(&args, out),
         Command::Trace(args) => trace::run(&args, out),
         Command::Psf(args) => psf::run(&args, out),
-        Command::Mtf(args) => analyses::run(analyses::Kind::Mtf, &args, out),
-        Command::Spot(args) => analyses::run(analyses::Kind::Spot, &args, out),
-        Command::Distortion(args) => analyses::run(analyses::Kind::Distortion, &args, out),
+        Command::Mtf(args) => analyses::run(Analysis::Mtf, &args, out),
+        Command::Spot(args) => analyses::run(Analysis::Spot, &args, out),
+        Command::Distortion(args) => analyses::run(Analysis::Distortion, &args, out),
         Command::Tolerance(args) => tolerance::run(&args, out),
         Command::View(args) => view::run(&args, out),
         Command::Report(args) => report::run(&args, out),

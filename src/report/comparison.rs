@@ -425,6 +425,7 @@ mod tests {
     use super::*;
     use crate::report::evaluation::Closeness;
     use isoplanat_base::testing::assert_abs;
+    use serde_json::json;
 
     /// Three pictures a row, `psnr` at each distance, differing by picture.
     fn judged(psnr: [f64; 2]) -> Evaluation {

@@ -4,6 +4,7 @@
 //! comma-separated values show the same plots, so that a value under the pointer is one of the JSON's, to six digits. The MTF at the
 //! other steps of the focus slider is in the page alone.
 
+pub mod analysis;
 pub mod arrays;
 mod bars;
 mod curves;
@@ -51,6 +52,8 @@ pub struct Options {
     pub shift_mm: Option<f64>,
     /// Shifts of the image plane to each side.
     pub shifts: u32,
+    /// Whether there are spots, fans and MTF: without, curves over the field alone.
+    pub spots: bool,
     /// Whether all of it is made: without, neither kernels nor what waves do.
     pub whole: bool,
     /// Whether Strehl ratio and encircled energy are made by diffraction, too.
@@ -136,6 +139,7 @@ pub fn look(lens: &Lens, options: &Options) -> (Overview, Vec<String>) {
         shift_mm: options.shift_mm,
         waves: usual.waves.filter(|_| options.whole),
         energy: options.energy,
+        spots: options.spots,
         ..usual
     };
     let overview = Overview::new(lens, settings);

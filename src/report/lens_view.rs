@@ -61,6 +61,7 @@ impl LensView {
             cycles_per_mm: None,
             shift_mm: None,
             shifts: SHIFTS,
+            spots: true,
             whole: waves,
             energy: false,
             colour: false,

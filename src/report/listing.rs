@@ -97,10 +97,8 @@ fn form(s: &Surface, stop: bool) -> String {
     if shape.conic != 0.0 {
         form.push(format!("conic {}", significant(shape.conic, 6)));
     }
-    let terms = shape.asphere.iter().enumerate().filter(|(_, a)| **a != 0.0);
-    form.extend(terms.map(|(j, a)| format!("a{} {}", 2 * j + 2, significant(*a, 5))));
-    let terms = shape.odd.iter().enumerate().filter(|(_, a)| **a != 0.0);
-    form.extend(terms.map(|(j, a)| format!("a{} {}", 2 * j + 3, significant(*a, 5))));
+    let terms = shape.terms().filter(|(_, a)| *a != 0.0);
+    form.extend(terms.map(|(power, a)| format!("a{power} {}", significant(a, 5))));
     form.extend(shape.zernike.as_ref().map(|z| format!("{} Zernike terms", z.terms().len())));
     form.extend(shape.xy.as_ref().map(|p| format!("{} xy terms", p.terms().len())));
     form.extend(shape.ideal.map(|f| format!("ideal lens of {} mm", significant(f, 7))));

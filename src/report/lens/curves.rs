@@ -289,7 +289,7 @@ fn light(o: &Overview, illumination: &[[f64; 2]]) -> Plot {
     Plot {
         title: "Light over the field".into(),
         x_label: "distance from the axis on the sensor, mm".into(),
-        y_label: "part of that on the axis".into(),
+        y_label: "share".into(),
         series: vec![
             Series { name: "relative illumination".into(), points: illumination.to_vec(), mark: Mark::Line },
             Series { name: "open part of the stop".into(), points: open, mark: Mark::Dashed },

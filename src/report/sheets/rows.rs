@@ -13,8 +13,7 @@ const POWERS: std::ops::RangeInclusive<usize> = 2..=20;
 
 /// The coefficient of `r^power`.
 fn coefficient(shape: &Shape, power: usize) -> f64 {
-    let list = if power.is_multiple_of(2) { &shape.asphere } else { &shape.odd };
-    list.get(power / 2 - 1).copied().unwrap_or(0.0)
+    shape.terms().find(|term| term.0 == power).map_or(0.0, |term| term.1)
 }
 
 /// One row a surface, those that are no face (a stop in air) with what they have.

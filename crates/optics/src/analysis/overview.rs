@@ -50,6 +50,8 @@ pub struct Settings {
     pub waves: Option<(usize, usize)>,
     /// Whether Strehl ratio and encircled energy are made by diffraction beside those of rays.
     pub energy: bool,
+    /// Whether spots, fans and MTF are made: without, there are curves over the field alone.
+    pub spots: bool,
 }
 
 impl Settings {
@@ -69,6 +71,7 @@ impl Settings {
             shift_mm: None,
             waves: Some((64, 28)),
             energy: true,
+            spots: true,
         }
     }
 }
@@ -104,7 +107,8 @@ pub struct Field {
     pub best_focus: Option<[f64; 3]>,
     /// The least rms radius over focus, mm.
     pub best_rms: Option<f64>,
-    /// Part of the stop's rays that arrives, all wavelengths by their weights.
+    /// Part of the stop's rays that arrives, all wavelengths by their weights; rays that were not found count as stopped.
+    /// [`FieldRow::open_part`] is by area, of the primary wavelength.
     pub open_part: f64,
     /// Transverse fans by wavelength, mm.
     pub transverse: Vec<Fans>,
@@ -142,7 +146,7 @@ pub struct Overview {
     pub primary_nm: f64,
     /// Fields, from the axis.
     pub fields: Vec<Field>,
-    /// Curves over the field.
+    /// Curves over the field, to the last of the settings' angles.
     pub curve: Vec<FieldRow>,
     /// Foci of zones on the axis.
     pub zones: Vec<ZoneRow>,
@@ -166,8 +170,8 @@ impl Overview {
         let systems: Vec<System> = colours.iter().map(|(nm, _)| System::new(lens, *nm)).collect();
         let primary = System::new(lens, primary_nm);
         let view = View { lens, settings: &settings, colours: &colours, systems: &systems, primary: &primary };
-        let mut fields: Vec<Field> =
-            settings.angles_deg.par_iter().map(|angle| view.field(*angle, &cycles_per_mm)).collect();
+        let spotted = if settings.spots { &settings.angles_deg[..] } else { &[] };
+        let mut fields: Vec<Field> = spotted.par_iter().map(|angle| view.field(*angle, &cycles_per_mm)).collect();
         let f_number = paraxial::first_order(lens, primary_nm).working_f_number;
         let airy_radius = 1.22 * primary_nm * 1e-6 * f_number;
         let largest = settings.shift_mm.unwrap_or_else(|| view.shift(&fields, f_number));

@@ -112,7 +112,7 @@ pub(super) fn read(text: &str, file: &str) -> Result<Draft> {
 
 fn surface(kind: &str, line: &Line, radius: f64, diameter: f64) -> Result<Stage> {
     let mut stage = Stage::plane(line.place.clone());
-    stage.curvature = if radius == 0.0 { 0.0 } else { 1.0 / radius };
+    stage.shape.curvature = if radius == 0.0 { 0.0 } else { 1.0 / radius };
     stage.semi_diameter = Some(0.5 * diameter.abs()).filter(|r| *r > 0.0);
     stage.stop = kind == "A" && radius == 0.0 && line.words.get(3).is_some_and(|w| w.eq_ignore_ascii_case("occluder"));
     let name = line.words.get(3).copied().ok_or_else(|| line.refused("no medium", "its name, or n/V"))?;
@@ -125,13 +125,13 @@ fn surface(kind: &str, line: &Line, radius: f64, diameter: f64) -> Result<Stage>
         return Err(line.refused(format!("the medium `{}`", shown(name)), "a name that DiffOptics knows, or n/V"));
     }
     if kind == "S" {
-        stage.conic = line.optional(4)?.unwrap_or(0.0);
+        stage.shape.conic = line.optional(4)?.unwrap_or(0.0);
         if line.words.len() > 14 {
             return Err(line.refused(format!("{} terms", line.words.len() - 5), "at most 9, up to r²⁰"));
         }
         for i in 5..line.words.len() {
-            stage.even.resize(i - 3, 0.0);
-            stage.even[i - 4] = line.number(i)?;
+            stage.shape.asphere.resize(i - 3, 0.0);
+            stage.shape.asphere[i - 4] = line.number(i)?;
         }
     }
     Ok(stage)

@@ -1,7 +1,7 @@
 //! A lens as another program's file states it, before glasses, apertures and fields are resolved.
 
 use super::media::Stated;
-use crate::lens::ImageSurface;
+use crate::lens::{ImageSurface, Shape};
 use isoplanat_base::error::Location;
 
 /// Numbers of a file in mm, nm and degrees, in the order of the light.
@@ -85,14 +85,8 @@ pub(super) struct Point {
 pub(super) struct Stage {
     /// Where it stands in the file: `line 12 (SURF 3)`.
     pub(super) place: Location,
-    pub(super) curvature: f64,
-    pub(super) conic: f64,
-    /// Terms in r², r⁴, …, mm.
-    pub(super) even: Vec<f64>,
-    /// Terms in r³, r⁵, …, mm.
-    pub(super) odd: Vec<f64>,
-    /// Focal length of an ideal lens, mm.
-    pub(super) ideal: Option<f64>,
+    /// Its form, mm.
+    pub(super) shape: Shape,
     /// Distance to the next surface, mm.
     pub(super) thickness: f64,
     /// Where a solve puts the next surface at the paraxial image: how far beyond it, mm.
@@ -109,11 +103,7 @@ impl Stage {
     pub(super) fn plane(place: Location) -> Self {
         Self {
             place,
-            curvature: 0.0,
-            conic: 0.0,
-            even: Vec::new(),
-            odd: Vec::new(),
-            ideal: None,
+            shape: Shape::default(),
             thickness: 0.0,
             solved: None,
             medium: Stated::Air,
@@ -125,7 +115,7 @@ impl Stage {
 
     /// Whether it is a plane, for marking a place.
     pub(super) fn is_flat(&self) -> bool {
-        self.curvature == 0.0 && self.ideal.is_none() && self.even.iter().chain(&self.odd).all(|a| *a == 0.0)
+        self.shape.curvature == 0.0 && self.shape.ideal.is_none() && !self.shape.is_aspheric()
     }
 }
 

@@ -8,7 +8,7 @@ use super::{Imported, Reading, order, solve, start};
 use crate::lens::catalogue::Glasses;
 use crate::lens::check::check_surface;
 use crate::lens::{
-    Aperture, Field, Lens, Medium, Prescription, SensorRaster, Shape, Surface, Wavelengths, clearance, paraxial,
+    Aperture, Field, Lens, Medium, Prescription, SensorRaster, Surface, Wavelengths, clearance, paraxial,
 };
 use crate::trace::apertures::{self, Beam, Reached};
 use isoplanat_base::error::{Error, Location, Result};
@@ -173,7 +173,7 @@ fn object_medium(draft: &mut Draft, file: &str, glasses: &Glasses) -> Result<Med
 /// Clear semi-diameters that a file states end where the conic ends: no surface reaches further.
 fn end_at_reach(stages: &mut [Stage], notes: &mut Vec<String>) {
     for s in stages {
-        let reach = Shape::even(s.curvature, s.conic, Vec::new()).reach();
+        let reach = s.shape.reach();
         let beyond = |r: &f64| *r > reach * (1.0 - AT_REACH);
         if let Some(r) = s.semi_diameter.filter(beyond) {
             notes.push(format!(
@@ -199,13 +199,12 @@ fn surface(
     let (medium, told) =
         stage.medium.resolve_told(glasses, catalogues).map_err(|e| e.within(&stage.place).in_file(file))?;
     notes.extend(told.map(|told| format!("{}: {told}", stage.place)));
-    let plain = [stage.curvature, stage.conic, stage.thickness];
-    if let Some(x) = plain.iter().chain(&stage.even).chain(&stage.odd).find(|x| !x.is_finite()) {
+    let mut shape = stage.shape.clone();
+    let plain = [shape.curvature, shape.conic, stage.thickness];
+    if let Some(x) = plain.iter().chain(&shape.asphere).chain(&shape.odd).find(|x| !x.is_finite()) {
         return Err(Error::bad(file, &stage.place, x.to_string(), "finite numbers"));
     }
-    let mut shape = Shape::even(stage.curvature, stage.conic, trimmed(&stage.even));
-    shape.odd = trimmed(&stage.odd);
-    shape.ideal = stage.ideal;
+    (shape.asphere, shape.odd) = (trimmed(&shape.asphere), trimmed(&shape.odd));
     shape.refresh();
     let semi_diameter = stage.semi_diameter.or(stage.computed).unwrap_or(1.0);
     Ok(Surface { shape, thickness: stage.thickness, medium, semi_diameter, pose: None })

@@ -1,7 +1,7 @@
 //! Every number of a lens in one table: where it stands, what it is called, what it may be, how far one step of it goes.
 //!
-//! Sums and zeros of gradients, sets of variables, listings of derivatives and the check of a lens all walk [`Kind::ALL`]; nothing
-//! else lists the kinds. A [`LensGradient`] has the form of its lens, so one accessor serves both.
+//! Sums and zeros of gradients, sets of variables, listings of derivatives and the check of a lens all walk [`Kind::ALL`]. What some kinds alone
+//! mean is matched where it is meant: first-order data, bounds of `optimize`, the double-double trace. A [`LensGradient`] has the form of its lens, so one accessor serves both.
 //!
 //! Names are the path in the lens file without units (`surface[2].thickness`, `element[0].tilt_x`); errors give the file's own key
 //! (`surface[2].thickness_mm`), with values in the file's units.
@@ -51,6 +51,8 @@ struct Line {
     scale: fn(&Prescription, Parameter) -> f64,
     /// Whether it is a variable of a design.
     free: bool,
+    /// Whether it changes sign where the surface is met from the other side: what sag is proportional to does; ratios and focal lengths do not.
+    turns: bool,
 }
 
 /// What has the numbers of a lens: the lens itself, or its gradient.
@@ -108,6 +110,11 @@ impl Kind {
     /// Whether it is a variable of a design.
     pub(crate) fn is_free(self) -> bool {
         self.line().free
+    }
+
+    /// Whether it changes sign where its surface is met from the other side.
+    pub(super) fn turns(self) -> bool {
+        self.line().turns
     }
 
     fn place(self, of: usize) -> Location {

@@ -79,9 +79,7 @@ fn at(lens: &Lens, nm: f64) -> Vec<Seidel> {
         let (inverse, inverse_square) = (1.0 / after - 1.0 / before, after.powi(-2) - before.powi(-2));
         let colour = dispersion[i + 1] / after - dispersion[i] / before;
         // Fourth-order sag beyond the vertex sphere's c³/8.
-        let quartic = (1.0 + s.shape.conic) * s.shape.curvature.powi(3) / 8.0
-            + s.shape.asphere.get(1).copied().unwrap_or(0.0)
-            - c.powi(3) / 8.0;
+        let quartic = s.shape.quartic() - c.powi(3) / 8.0;
         let g = 8.0 * quartic * (after - before);
         let own = Seidel {
             spherical: -a * a * y * change + g * y.powi(4),

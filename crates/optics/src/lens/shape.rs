@@ -74,7 +74,22 @@ impl Shape {
     /// Curvature of the rotational part at the vertex, 1/mm: `c + 2a₂`.
     #[doc(hidden)]
     pub fn vertex_curvature(&self) -> f64 {
-        self.curvature + 2.0 * self.asphere.first().copied().unwrap_or(0.0)
+        let Self { curvature, conic: _, asphere, odd: _, zernike: _, xy: _, ideal: _ } = self;
+        curvature + 2.0 * asphere.first().copied().unwrap_or(0.0)
+    }
+
+    /// Coefficient of `r⁴` of the rotational part at the vertex, mm⁻³: `(1+κ)c³/8 + a₄`.
+    pub(crate) fn quartic(&self) -> f64 {
+        let Self { curvature, conic, asphere, odd: _, zernike: _, xy: _, ideal: _ } = self;
+        (1.0 + conic) * curvature.powi(3) / 8.0 + asphere.get(1).copied().unwrap_or(0.0)
+    }
+
+    /// The aspheric terms of the rotational part: powers of `r` with their coefficients, even ones before odd ones.
+    #[doc(hidden)]
+    pub fn terms(&self) -> impl Iterator<Item = (usize, f64)> {
+        let Self { curvature: _, conic: _, asphere, odd, zernike: _, xy: _, ideal: _ } = self;
+        let of = |list, first| <[f64]>::iter(list).enumerate().map(move |(i, a)| (2 * i + first, *a));
+        of(asphere, 2).chain(of(odd, 3))
     }
 
     /// Power of an ideal lens, 1/mm.
@@ -121,8 +136,9 @@ impl Shape {
     /// The rotationally symmetric part at `rho = x² + y²` (mm²); `None` where the conic does not reach (`αρ ≥ 1`).
     #[inline]
     pub fn sag(&self, rho: f64) -> Option<Sag> {
-        let c = self.curvature;
-        let alpha = (1.0 + self.conic) * c * c;
+        let Self { curvature, conic, asphere, odd, zernike: _, xy: _, ideal: _ } = self;
+        let c = *curvature;
+        let alpha = (1.0 + conic) * c * c;
         let phi_sq = 1.0 - alpha * rho;
         if phi_sq.is_nan() || phi_sq <= 0.0 {
             return None;
@@ -131,17 +147,17 @@ impl Shape {
         let conic_h = c * rho / (1.0 + phi);
         // Horner for the polynomial and its two derivatives.
         let (mut p, mut p1, mut p2) = (0.0, 0.0, 0.0);
-        for a in self.asphere.iter().rev() {
+        for a in asphere.iter().rev() {
             p2 = p2 * rho + p1;
             p1 = p1 * rho + p;
             p = p * rho + a;
         }
         // The series starts at ρ: P = ρ p.
         let (mut q, mut q1, mut q2) = (p * rho, p + p1 * rho, 2.0 * p1 + 2.0 * p2 * rho);
-        if !self.odd.is_empty() {
+        if !odd.is_empty() {
             // r³ s(ρ): the same Horner, then r³ = ρ^{3/2}.
             let (mut s, mut s1, mut s2) = (0.0, 0.0, 0.0);
-            for a in self.odd.iter().rev() {
+            for a in odd.iter().rev() {
                 s2 = s2 * rho + s1;
                 s1 = s1 * rho + s;
                 s = s * rho + a;
@@ -173,7 +189,8 @@ impl Shape {
 
     /// Adds the pull-back of cotangents on `h` and `dh/dρ` at `rho` to the shape's cotangent `bar`.
     pub fn sag_vjp(&self, rho: f64, sag: &Sag, h_bar: f64, h1_bar: f64, bar: &mut Self) {
-        let (c, k) = (self.curvature, 1.0 + self.conic);
+        let Self { curvature, conic, asphere: _, odd: _, zernike: _, xy: _, ideal: _ } = self;
+        let (c, k) = (*curvature, 1.0 + conic);
         let (z, inv) = (sag.conic_h, 0.5 / sag.phi);
         let inv3 = inv / (sag.phi * sag.phi);
         // ∂h/∂c = (ρ + (1+κ)z²)/2φ, ∂h′/∂c = 1/2φ³, ∂h/∂κ = cz²/2φ, ∂h′/∂κ = c³ρ/4φ³.
@@ -224,17 +241,18 @@ impl Shape {
             let flat = self.curvature == 0.0 && !self.is_aspheric();
             return if flat { 0.0 } else { f64::INFINITY };
         }
+        let Self { curvature, conic, asphere, odd, zernike, xy, ideal: _ } = self;
         let conic = |r: f64| {
-            let phi_sq = 1.0 - (1.0 + self.conic) * (self.curvature * r).powi(2);
-            self.curvature * r / phi_sq.sqrt()
+            let phi_sq = 1.0 - (1.0 + conic) * (curvature * r).powi(2);
+            curvature * r / phi_sq.sqrt()
         };
         // Slopes of the terms of one sign: Σ k |a_k| r^{k−1} over the terms whose sign is `sign`.
         let terms = |r: f64, sign: f64| {
             let mut sum = 0.0;
             let mut power = r;
-            for i in 0..self.asphere.len().max(self.odd.len()) {
-                let even = self.asphere.get(i).copied().unwrap_or(0.0) * sign;
-                let odd = self.odd.get(i).copied().unwrap_or(0.0) * sign;
+            for i in 0..asphere.len().max(odd.len()) {
+                let even = asphere.get(i).copied().unwrap_or(0.0) * sign;
+                let odd = odd.get(i).copied().unwrap_or(0.0) * sign;
                 sum += 2.0 * order(i) * even.max(0.0) * power + (2.0 * order(i) + 1.0) * odd.max(0.0) * power * r;
                 power *= r * r;
             }
@@ -248,8 +266,8 @@ impl Shape {
             let low = c_a.min(c_b) + terms(a, 1.0) - terms(b, -1.0);
             bound = bound.max(high.abs()).max(low.abs());
         }
-        let freeform = self.zernike.as_ref().map_or(0.0, |z| z.polynomial().steepest(radius))
-            + self.xy.as_ref().map_or(0.0, |p| p.polynomial().steepest(radius));
+        let freeform = zernike.as_ref().map_or(0.0, |z| z.polynomial().steepest(radius))
+            + xy.as_ref().map_or(0.0, |p| p.polynomial().steepest(radius));
         // A part in 1e12 covers the rounding of the sums.
         (bound + freeform) * (1.0 + 1e-12)
     }
@@ -283,8 +301,7 @@ impl Shape {
     pub fn reversed(&self) -> Self {
         let mut reversed = self.clone();
         Kind::each_of(&mut reversed, |kind, _, list| {
-            // What is a ratio stays, and so does a focal length; whatever the sag is proportional to turns.
-            if ![Kind::Conic, Kind::IdealFocalLength].contains(&kind) {
+            if kind.turns() {
                 list.iter_mut().for_each(|a| *a = -*a);
             }
         });

@@ -15,28 +15,23 @@ pub(crate) fn every_kind() -> [Lens; 5] {
     let lens = prescription::from_toml(&text, "lens.toml").expect("valid");
     let named = |name: &str| Glasses::shipped().find(name, Naming::Exact).expect("in the catalogue");
     let table = Medium::Table { wavelength_nm: vec![440.0, 550.0, 680.0], index: vec![1.62, 1.61, 1.60] };
-    let sizes = [
-        Aperture::EntrancePupilDiameter(12.0),
-        Aperture::FNumber(4.5),
-        Aperture::StopSemiDiameter(0.9 * paraxial::stop_semi_diameter(&lens)),
-        Aperture::ObjectNa(5e-3),
-    ];
-    let media = [lens.surfaces[3].medium.clone(), named("N-BK7"), table, named("F2")];
     let whole = lens.surfaces[0].shape.clone();
     let base = Shape { curvature: whole.curvature, conic: whole.conic, ..Shape::default() };
-    let alone = [
-        whole.clone(),
-        Shape { zernike: whole.zernike, ..base.clone() },
-        Shape { xy: whole.xy, ..base.clone() },
-        Shape { asphere: whole.asphere, odd: whole.odd, ..base },
+    let stop = Aperture::StopSemiDiameter(0.9 * paraxial::stop_semi_diameter(&lens));
+    let own = lens.surfaces[3].medium.clone();
+    // Every form alone, each with a way to state the aperture and a kind of medium.
+    let each = [
+        (Aperture::EntrancePupilDiameter(12.0), own, whole.clone()),
+        (Aperture::FNumber(4.5), named("N-BK7"), Shape { zernike: whole.zernike, ..base.clone() }),
+        (stop, table, Shape { xy: whole.xy, ..base.clone() }),
+        (Aperture::ObjectNa(5e-3), named("F2"), Shape { asphere: whole.asphere, odd: whole.odd, ..base }),
     ];
-    let mut each = sizes.into_iter().zip(media).zip(alone).map(|((aperture, medium), shape)| {
+    let [a, b, c, d] = each.map(|(aperture, medium, shape)| {
         let numbers = |l: &mut Prescription| {
             (l.aperture, l.surfaces[3].medium, l.surfaces[0].shape) = (aperture, medium, shape);
         };
         lens.changed(numbers).expect("a lens")
     });
-    let [a, b, c, d] = std::array::from_fn(|_| each.next().expect("four"));
     let water = Medium::Table { wavelength_nm: vec![440.0, 550.0, 680.0], index: vec![1.341, 1.335, 1.331] };
     let d = d.changed(|l| (l.object_medium, l.image.curvature) = (water, -1.0 / 90.0)).expect("a lens");
     let ideal = b.changed(|l| {

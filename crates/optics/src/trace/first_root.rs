@@ -213,8 +213,7 @@ impl Line<'_> {
                 degree = degree.max(power - 1);
             }
         };
-        shape.asphere.iter().enumerate().for_each(|(i, a)| put(2 * i + 2, *a));
-        shape.odd.iter().enumerate().for_each(|(i, a)| put(2 * i + 3, *a));
+        shape.terms().for_each(|(power, a)| put(power, a));
         let (middle, half) = (0.5 * (r1 + r2), 0.5 * (r2 - r1));
         let (centre, spread) = expanded(&mut q[..=degree], middle, half);
         (c1.min(c2) + centre - spread, c1.max(c2) + centre + spread)

@@ -12,7 +12,7 @@ use twofloat::TwoFloat;
 
 use super::sequential::Hit;
 use super::{Ray, System};
-use crate::lens::{Kind, Lens, Parameter, Pose};
+use crate::lens::{Kind, Lens, Parameter, Pose, Shape};
 
 /// What a trace needs of its numbers.
 pub trait Scalar:
@@ -161,29 +161,30 @@ impl<S: Scalar> PreciseSystem<S> {
         let surfaces = system
             .surfaces
             .iter()
-            .map(|s| PreciseSurface {
-                curvature: S::of(s.shape.curvature),
-                conic: S::of(s.shape.conic),
-                even: of(&s.shape.asphere),
-                odd: of(&s.shape.odd),
-                freeform: [
-                    s.shape.zernike.as_ref().map(|z| z.polynomial()),
-                    s.shape.xy.as_ref().map(|p| p.polynomial()),
-                ]
-                .into_iter()
-                .flatten()
-                .map(|p| (S::of(p.radius()), p.terms().iter().map(|(i, j, c)| (*i, *j, S::of(*c))).collect()))
-                .collect(),
-                distance: S::of(s.distance),
-                indices: [S::of(s.index_before), S::of(s.index_after)],
-                ideal: s.shape.ideal.map(|f| [f, s.conjugate].map(S::of)),
-                motion: s.motion.map(|m| {
-                    let rows = m.rotation.transpose();
-                    (
-                        [rows.x_axis, rows.y_axis, rows.z_axis].map(|r| r.to_array().map(S::of)),
-                        m.shift.to_array().map(S::of),
-                    )
-                }),
+            .map(|s| {
+                let Shape { curvature, conic, asphere, odd, zernike, xy, ideal } = &s.shape;
+                let freeform = [zernike.as_ref().map(|z| z.polynomial()), xy.as_ref().map(|p| p.polynomial())];
+                PreciseSurface {
+                    curvature: S::of(*curvature),
+                    conic: S::of(*conic),
+                    even: of(asphere),
+                    odd: of(odd),
+                    freeform: freeform
+                        .into_iter()
+                        .flatten()
+                        .map(|p| (S::of(p.radius()), p.terms().iter().map(|(i, j, c)| (*i, *j, S::of(*c))).collect()))
+                        .collect(),
+                    distance: S::of(s.distance),
+                    indices: [S::of(s.index_before), S::of(s.index_after)],
+                    ideal: ideal.map(|f| [f, s.conjugate].map(S::of)),
+                    motion: s.motion.map(|m| {
+                        let rows = m.rotation.transpose();
+                        (
+                            [rows.x_axis, rows.y_axis, rows.z_axis].map(|r| r.to_array().map(S::of)),
+                            m.shift.to_array().map(S::of),
+                        )
+                    }),
+                }
             })
             .collect();
         Self { surfaces }

@@ -2,7 +2,7 @@
 //!
 //! Every ray is aimed at the stop. The unvignetted part of the stop is described by its boundary, seen from a point
 //! inside: the stop's centre or, where an aperture clips the chief ray itself, the middle of what is left. Apertures
-//! are hard here; the soft edge for gradients belongs to `psf::pupil`.
+//! are hard here; the soft edge for gradients belongs to `psf`.
 
 use std::f64::consts::{PI, TAU};
 

@@ -125,11 +125,8 @@ impl Face {
         let (shape, semi) = (&surface.shape, surface.semi_diameter);
         let vertex = shape.vertex_curvature();
         let edge = at(shape, semi);
-        let terms = |list: &[f64], from: usize| -> Vec<Term> {
-            list.iter().enumerate().map(|(k, a)| Term { power: 2 * k + from, coefficient: *a }).collect()
-        };
-        let mut asphere = [terms(&shape.asphere, 2), terms(&shape.odd, 3)].concat();
-        asphere.retain(|t| t.coefficient != 0.0);
+        let stated = shape.terms().filter(|(_, a)| *a != 0.0);
+        let mut asphere: Vec<Term> = stated.map(|(power, coefficient)| Term { power, coefficient }).collect();
         asphere.sort_by_key(|t| t.power);
         let places = || heights(semi, HEIGHTS).map(|h| at(shape, h));
         // Positive where the face bulges out of its glass.

@@ -63,7 +63,7 @@ fn surface(part: &Part, notes: &mut Vec<String>) -> Result<Stage> {
     let radius = part.get("roc").map(|r| r.any_number()).transpose()?;
     let curvature = part.get("c").map(|c| c.number()).transpose()?;
     // The radius is written with all its digits; a plane has the radius 0 in some files.
-    stage.curvature = match (radius, curvature) {
+    stage.shape.curvature = match (radius, curvature) {
         (Some(0.0), c) => c.unwrap_or(0.0),
         (Some(r), _) => r.recip(),
         (None, c) => c.unwrap_or(0.0),
@@ -71,10 +71,10 @@ fn surface(part: &Part, notes: &mut Vec<String>) -> Result<Stage> {
     match kind.as_str() {
         "Spheric" | "Plane" => {}
         "Stop" | "Aperture" => stage.stop = true,
-        "ThinLens" => stage.ideal = Some(part.need("f")?.number()?),
+        "ThinLens" => stage.shape.ideal = Some(part.need("f")?.number()?),
         "Aspheric" => {
-            stage.conic = part.get("k").map(|k| k.number()).transpose()?.unwrap_or(0.0);
-            stage.even = terms(part)?;
+            stage.shape.conic = part.get("k").map(|k| k.number()).transpose()?.unwrap_or(0.0);
+            stage.shape.asphere = terms(part)?;
         }
         other => {
             let found = format!("a surface of type {}", crate::interchange::text::shown(other));
@@ -86,7 +86,7 @@ fn surface(part: &Part, notes: &mut Vec<String>) -> Result<Stage> {
     // A stop and a thin lens stand in air.
     let name = part.get("mat2").map(|m| m.text().map(str::to_owned)).transpose()?;
     let name = match name {
-        None if stage.stop || stage.ideal.is_some() => "air".to_owned(),
+        None if stage.stop || stage.shape.ideal.is_some() => "air".to_owned(),
         None => part.need("mat2")?.text()?.to_owned(),
         Some(name) => name,
     };

@@ -189,18 +189,18 @@ fn surface(part: &Part) -> Result<Stage> {
         if !thin && !["", "standard", "RefractiveReflectiveModel", "refractive_reflective"].contains(&name) {
             return Err(does.refused(format!("`{}`", shown(name)), "refracting surfaces, thin lenses"));
         }
-        if thin && stage.ideal.is_none() {
+        if thin && stage.shape.ideal.is_none() {
             let stated = interaction.as_ref().and_then(|i| i.get("focal_length")).or_else(|| part.get("f"));
             let stated = stated.ok_or_else(|| part.refused("no focal length of a thin lens", "focal_length"))?;
-            stage.ideal = Some(stated.number()?);
+            stage.shape.ideal = Some(stated.number()?);
         }
     }
     if let Some(coating) = interaction.as_ref().and_then(|i| i.get("bsdf")).filter(|b| !b.value.is_null()) {
         return Err(coating.refused("scattering", "surfaces that refract alone"));
     }
     stage.stop = part.is_true("is_stop");
-    stage.curvature = geometry.get("radius").map(|r| r.any_number()).transpose()?.map_or(0.0, f64::recip);
-    stage.conic = geometry.get("conic").map(|k| k.number()).transpose()?.unwrap_or(0.0);
+    stage.shape.curvature = geometry.get("radius").map(|r| r.any_number()).transpose()?.map_or(0.0, f64::recip);
+    stage.shape.conic = geometry.get("conic").map(|k| k.number()).transpose()?.unwrap_or(0.0);
     let coefficients = |least: usize| -> Result<Vec<f64>> {
         let list = geometry.get("coefficients").or_else(|| geometry.get("c")).map(|c| c.items()).transpose()?;
         let mut terms = Vec::new();
@@ -213,12 +213,12 @@ fn surface(part: &Part) -> Result<Stage> {
         Ok(terms)
     };
     match geometry.need("type")?.text()? {
-        "Plane" => stage.curvature = 0.0,
+        "Plane" => stage.shape.curvature = 0.0,
         "StandardGeometry" => {}
         "EvenAsphere" => {
-            stage.even = coefficients(2)?;
-            if stage.even.len() > 10 {
-                return Err(geometry.refused(format!("{} coefficients", stage.even.len()), "terms up to r²⁰"));
+            stage.shape.asphere = coefficients(2)?;
+            if stage.shape.asphere.len() > 10 {
+                return Err(geometry.refused(format!("{} coefficients", stage.shape.asphere.len()), "terms up to r²⁰"));
             }
         }
         "OddAsphere" => {
@@ -227,8 +227,8 @@ fn surface(part: &Part) -> Result<Stage> {
                 match i + 1 {
                     1 if a == 0.0 => {}
                     1 => return Err(geometry.refused(format!("a term {a} r"), "terms from r² on")),
-                    power if power % 2 == 0 => put(&mut stage.even, power / 2 - 1, a),
-                    power => put(&mut stage.odd, power / 2 - 1, a),
+                    power if power % 2 == 0 => put(&mut stage.shape.asphere, power / 2 - 1, a),
+                    power => put(&mut stage.shape.odd, power / 2 - 1, a),
                 }
             }
         }

@@ -8,7 +8,7 @@ use super::surface::curvature;
 use crate::interchange::draft::{Draft, Size, Stage};
 use crate::interchange::solve::{OnAxis, on_axis};
 use crate::lens::catalogue::Glasses;
-use crate::lens::{Shape, clearance};
+use crate::lens::clearance;
 use isoplanat_base::error::{Error, Result};
 
 /// An image this part of its distance away from the file's own is another lens's.
@@ -39,7 +39,7 @@ pub(super) fn decide(
     };
     let set = |draft: &mut Draft, radius: bool| {
         for (i, number) in unsaid {
-            let stated = draft.surfaces.get_mut(*i).map_or(&mut draft.image.curvature, |s| &mut s.curvature);
+            let stated = draft.surfaces.get_mut(*i).map_or(&mut draft.image.curvature, |s| &mut s.shape.curvature);
             *stated = curvature(*number, radius) / scale;
         }
     };
@@ -60,10 +60,9 @@ fn fault(draft: &Draft, glasses: &Glasses) -> std::result::Result<(), Fault> {
     let mut stages: Vec<Stage> = draft.surfaces.clone();
     let rays = on_axis(draft, &mut stages, glasses);
     let light = height_at_first(draft, &stages, &rays);
-    let shape = |s: &Stage| Shape::even(s.curvature, s.conic, s.even.clone());
     for (k, (s, ray)) in stages.iter().zip(&rays).enumerate() {
         let Some(height) = light.map(|h| (h * ray.height).abs()) else { break };
-        let reach = shape(s).reach();
+        let reach = s.shape.reach();
         if height > reach {
             return Err(Fault::Shape(format!(
                 "the surface at {} reaches {reach:.4} mm, the light on the axis {height:.4} mm",
@@ -72,7 +71,7 @@ fn fault(draft: &Draft, glasses: &Glasses) -> std::result::Result<(), Fault> {
         }
         let (Some(next), Some(behind)) = (stages.get(k + 1), rays.get(k + 1)) else { continue };
         let edge = height * (behind.height / ray.height).abs().min(1.0);
-        let sag = |s: &Stage| shape(s).at(edge, 0.0).map(|l| l.h);
+        let sag = |s: &Stage| s.shape.at(edge, 0.0).map(|l| l.h);
         if let (Some(here), Some(there)) = (sag(s), sag(next))
             && s.thickness >= 0.0
             && s.thickness + there - here < -clearance::DEEPEST_MM

@@ -177,10 +177,10 @@ impl Reader<'_> {
         let order = "ABCDEFGHJ".find(keyword).filter(|_| keyword.len() == 1);
         if let Some(order) = order {
             let power = 2 * order + 4;
-            if stage.even.len() < order + 2 {
-                stage.even.resize(order + 2, 0.0);
+            if stage.shape.asphere.len() < order + 2 {
+                stage.shape.asphere.resize(order + 2, 0.0);
             }
-            stage.even[order + 1] = line.number(0)? * unit.powi(1 - i32::try_from(power).unwrap_or(0));
+            stage.shape.asphere[order + 1] = line.number(0)? * unit.powi(1 - i32::try_from(power).unwrap_or(0));
             return Ok(());
         }
         match keyword {
@@ -190,9 +190,9 @@ impl Reader<'_> {
             "CUF" => return Err(line.refused("a Fresnel surface (CUF)", "surfaces without steps")),
             "HMY" if line.optional(0)?.unwrap_or(0.0) == 0.0 => stage.solved = Some(0.0),
             "HMY" => self.solved.push(format!("HMY ({})", line.place)),
-            "K" => stage.conic = line.number(0)?,
-            "CUY" => stage.curvature = line.number(0)? / unit,
-            "RDY" => stage.curvature = curvature(length(line, 0)?, true) / unit,
+            "K" => stage.shape.conic = line.number(0)?,
+            "CUY" => stage.shape.curvature = line.number(0)? / unit,
+            "RDY" => stage.shape.curvature = curvature(length(line, 0)?, true) / unit,
             "THI" => stage.thickness = line.number(0)? * unit,
             "CIR" => match line.words.first().copied().unwrap_or("").to_ascii_uppercase().as_str() {
                 "EDG" => {}
@@ -243,7 +243,7 @@ impl Reader<'_> {
             self.unsaid.push((self.draft.surfaces.len(), number));
         }
         // Without RDM numbers are curvatures; an infinite one is a plane's radius.
-        stage.curvature = curvature(number, self.radii == Some(true) || number.is_infinite()) / self.scale;
+        stage.shape.curvature = curvature(number, self.radii == Some(true) || number.is_infinite()) / self.scale;
         stage.thickness = line.number(1)? * self.scale;
         stage.medium = self.medium_behind(line)?;
         self.draft.surfaces.push(stage);

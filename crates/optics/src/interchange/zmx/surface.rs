@@ -226,17 +226,18 @@ impl Raw {
         }
         let (even, odd) = self.shape(scale, file)?;
         let mut stage = Stage::plane(self.place.clone());
-        (stage.even, stage.odd) = (even, odd);
-        (stage.curvature, stage.conic, stage.thickness) = (self.curvature / scale, self.conic, self.thickness * scale);
+        (stage.shape.asphere, stage.shape.odd) = (even, odd);
+        (stage.shape.curvature, stage.shape.conic, stage.thickness) =
+            (self.curvature / scale, self.conic, self.thickness * scale);
         stage.stop = self.stop;
         stage.solved = self.focus.then_some(0.0);
         if self.kind == "COORDBRK" {
             return Ok(stage);
         }
-        stage.ideal = self.ideal(scale, file)?;
-        if let Some(f) = stage.ideal {
+        stage.shape.ideal = self.ideal(scale, file)?;
+        if let Some(f) = stage.shape.ideal {
             // Its plane has no form, whatever stands there.
-            (stage.curvature, stage.conic) = (0.0, 0.0);
+            (stage.shape.curvature, stage.shape.conic) = (0.0, 0.0);
             notes.push(format!(
                 "{}: an ideal lens of {f} mm; optical paths through it are those between its paraxial object and image",
                 self.place

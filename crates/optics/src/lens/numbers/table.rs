@@ -83,6 +83,7 @@ const PLAIN: Line = Line {
     allowed: FINITE,
     scale: |_, _| 1.0,
     free: true,
+    turns: false,
 };
 
 kinds! {
@@ -94,6 +95,7 @@ kinds! {
         // A hyperboloid of any vertex curvature reaches all clear semi-diameters; powers of this one are numbers.
         allowed: (|x| x.abs() <= 1e6, "-1e6 to 1e6 per mm: radii from 1e-6 mm"),
         scale: |lens, p| 2.0 / radius(lens, p).powi(2),
+        turns: true,
         ..PLAIN
     },
     /// Conic constant of a surface; an ideal lens has none.
@@ -115,6 +117,7 @@ kinds! {
         name: |_, p| format!("a{}", 2 * p.entry + 2),
         key: "asphere.",
         scale: |lens, p| at_rim(lens, p, 2 * p.entry + 2),
+        turns: true,
         ..PLAIN
     },
     /// Odd polynomial coefficients: a₃, a₅, ….
@@ -123,6 +126,7 @@ kinds! {
         name: |_, p| format!("a{}", 2 * p.entry + 3),
         key: "asphere.",
         scale: |lens, p| at_rim(lens, p, 2 * p.entry + 3),
+        turns: true,
         ..PLAIN
     },
     /// Zernike coefficients: Z₁, Z₂, ….
@@ -133,6 +137,7 @@ kinds! {
         ),
         name: |_, p| format!("z{}", p.entry + 1),
         key: "zernike.",
+        turns: true,
         ..PLAIN
     },
     /// Coefficients of the polynomial in x and y, in the file's order.
@@ -143,6 +148,7 @@ kinds! {
             orders.map_or_else(|| format!("xy{}", p.entry), |(i, j)| format!("x{i}y{j}"))
         },
         key: "xy.terms.",
+        turns: true,
         ..PLAIN
     },
     /// Focal length of an ideal lens, where a surface is one.
