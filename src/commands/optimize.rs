@@ -82,7 +82,7 @@ pub(crate) struct Args {
     /// Folder for the ten best lenses of a search, with drawings
     #[arg(long, value_name = "OUT_DIR")]
     best: Option<PathBuf>,
-    /// Choose real glasses: `*` or patterns such as `surface[2].medium`, and among which, such as `SCHOTT/*,!plastic`; `plastic` lets polymers be
+    /// Choose real glasses: `*` or patterns such as `surface[2].medium`, and among which, such as `SCHOTT/*,!plastic` or `N-BK7,N-SF5`; `plastic` lets polymers be
     /// cemented to glass, `obsolete` takes types that are no longer made
     #[arg(long, value_name = "PATTERN")]
     choose_glass: Vec<String>,
@@ -157,6 +157,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         bar.set(share.max(timed), format!("rms {:.4} µm", s.rms * 1e3));
         !asked()
     };
+    let mut chosen = Vec::new();
     let outcome = if args.choose_glass.is_empty() {
         match found.first() {
             Some(best) => best.clone(),
@@ -164,7 +165,12 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         }
     } else {
         let (surfaces, pool) = choice(&lens, &args.choose_glass)?;
-        glass::choose(&from, &surfaces, &pool, limits, &mut tell)?
+        let outcome = glass::choose(&from, &surfaces, &pool, limits, &mut tell)?;
+        let named = |lens: &Lens, i: usize| lens.surfaces[i].medium.to_string();
+        let glass =
+            |&surface: &usize| Glass { surface, before: named(&lens, surface), after: named(&outcome.lens, surface) };
+        chosen = surfaces.iter().map(glass).collect();
+        outcome
     };
     bar.done(format!("rms {:.4} µm", outcome.rms_mm[1] * 1e3));
     if asked() {
@@ -181,7 +187,11 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     doubts(&problem, &outcome).iter().for_each(|doubt| crate::tell!("warning: {doubt}"));
     let unit = if problem.merit.quality == Quality::Wavefront { "path difference" } else { "spot" };
-    if args.common.json { json(&outcome, &found, out) } else { text(args, &outcome, &found, unit, out) }
+    if args.common.json {
+        json(&outcome, chosen, &found, out)
+    } else {
+        text(args, &outcome, (&chosen, &found), unit, out)
+    }
 }
 
 /// Refuses a start so far out of focus that path differences, which are taken to spheres far away, do not tell it: of parallel light they are none. Nearer ones are told.
@@ -260,7 +270,7 @@ fn distortion_percent(lens: &Lens) -> Option<f64> {
 fn choice(lens: &Lens, patterns: &[String]) -> Result<(Vec<usize>, Pool)> {
     const FLAG: &str = "--choose-glass";
     let parts = patterns.iter().flat_map(|p| p.split(',')).map(str::trim).filter(|p| !p.is_empty());
-    let (filters, mut named): (Vec<&str>, Vec<&str>) = parts.partition(|p| Pool::is_filter(p));
+    let (filters, mut named): (Vec<&str>, Vec<&str>) = parts.partition(|p| Pool::is_filter(crate::glasses::all(), p));
     if named.is_empty() {
         named.push("*");
     }
@@ -360,7 +370,13 @@ fn pair_svg(before: &Lens, after: &Lens) -> String {
     )
 }
 
-fn text(args: &Args, o: &Outcome, found: &[Outcome], unit: &str, out: &mut dyn Write) -> anyhow::Result<()> {
+fn text(
+    args: &Args,
+    o: &Outcome,
+    (chosen, found): (&[Glass], &[Outcome]),
+    unit: &str,
+    out: &mut dyn Write,
+) -> anyhow::Result<()> {
     writeln!(out, "{} -> {}", args.lens, args.output.display())?;
     writeln!(
         out,
@@ -381,6 +397,12 @@ fn text(args: &Args, o: &Outcome, found: &[Outcome], unit: &str, out: &mut dyn W
     }
     if o.violation > 1e-6 {
         writeln!(out, "constraints are violated by up to {:.3e} (relative)", o.violation)?;
+    }
+    if !chosen.is_empty() {
+        writeln!(out, "\n{:32} {:>24}   after", "glass behind", "before")?;
+    }
+    for Glass { surface, before, after } in chosen {
+        writeln!(out, "{:32} {before:>24}   {after}", format!("surface[{surface}]"))?;
     }
     writeln!(out, "\n{:32} {:>14} {:>14}   allowed", "moved", "before", "after")?;
     for m in &o.moved {
@@ -427,18 +449,29 @@ fn allowed([a, b]: [f64; 2]) -> String {
     }
 }
 
+/// A glass that was chosen: behind which surface, what stood there, what stands there.
+#[derive(serde::Serialize)]
+struct Glass {
+    surface: usize,
+    before: String,
+    after: String,
+}
+
 /// The result as JSON has it.
 #[derive(serde::Serialize)]
 struct Found<'a> {
     #[serde(flatten)]
     outcome: &'a Outcome,
     reason: &'static str,
+    /// What was chosen by `--choose-glass`.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    glasses: Vec<Glass>,
     /// The rms of every lens that a search kept, mm.
     found: Vec<f64>,
 }
 
-fn json(outcome: &Outcome, found: &[Outcome], out: &mut dyn Write) -> anyhow::Result<()> {
+fn json(outcome: &Outcome, glasses: Vec<Glass>, found: &[Outcome], out: &mut dyn Write) -> anyhow::Result<()> {
     let found = found.iter().map(|f| f.rms_mm[1]).collect();
-    writeln!(out, "{:#}", value(&Found { outcome, reason: outcome.stop.reason(), found })?)?;
+    writeln!(out, "{:#}", value(&Found { outcome, reason: outcome.stop.reason(), glasses, found })?)?;
     Ok(())
 }

@@ -58,6 +58,20 @@ pub(super) fn lines_of(medium: &Medium) -> (f64, f64) {
     (d, if f == c { 0.0 } else { (d - 1.0) / (f - c) })
 }
 
+/// [`lines_of`] a table that follows a model glass's curve, as one that was written for such a glass does; nothing where it does not.
+pub(super) fn lines_of_table(medium: &Medium) -> Option<(f64, f64)> {
+    const CLOSE: f64 = 1e-9;
+    let Medium::Table { wavelength_nm, index } = medium else { return None };
+    let [short, long] = medium.range_nm();
+    if LINES_NM.iter().any(|nm| *nm < short || *nm > long) {
+        return None;
+    }
+    let (n, v) = lines_of(medium);
+    let curve = cauchy_of_lines(n, v).ok()?;
+    let close = |(nm, n): (&f64, &f64)| (curve.index(*nm) - n).abs() <= CLOSE;
+    wavelength_nm.iter().zip(index).all(close).then_some((n, v))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

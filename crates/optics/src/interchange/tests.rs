@@ -393,3 +393,28 @@ fn more_wavelengths_than_a_program_reads_are_told() {
         }
     }
 }
+
+/// A glass of two numbers goes out to CODE V as a table and from there to Zemax as two numbers again; a table of its own stays refused, with a way out.
+#[test]
+fn model_glasses_come_back_from_tables() {
+    let lens = builtin::lens("tessar").expect("shipped");
+    let again = |lens: &Lens, form: Form| {
+        let text = text_of(lens, form, Glasses::shipped()).expect("written").0;
+        parse(&text, form, "again", Glasses::shipped()).expect("reads").lens
+    };
+    let table = again(&lens, Form::Seq);
+    assert!(matches!(table.surfaces[0].medium, crate::lens::Medium::Table { .. }));
+    let back = again(&table, Form::Zmx);
+    for nm in [486.1327, 540.0, 587.5618, 656.2725] {
+        for (a, b) in lens.surfaces.iter().zip(&back.surfaces) {
+            assert_abs(b.medium.index(nm), a.medium.index(nm), 1e-9, "index");
+        }
+    }
+    let bent = table.changed(|l| {
+        if let crate::lens::Medium::Table { index, .. } = &mut l.surfaces[0].medium {
+            index[1] += 1e-6;
+        }
+    });
+    let why = text_of(&bent.expect("a lens"), Form::Zmx, Glasses::shipped()).expect_err("a table").to_string();
+    assert!(why.contains("--glass-for"), "{why}");
+}

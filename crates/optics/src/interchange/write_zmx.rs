@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use super::model_glass::lines_of;
+use super::model_glass::{lines_of, lines_of_table};
 use super::text::plain;
 use crate::lens::catalogue::{Glasses, Naming};
 use crate::lens::{Aperture, Lens, Medium, Shape, Surface, paraxial, place_of_medium};
@@ -122,8 +122,11 @@ fn glass(lens: &Lens, space: usize, glasses: &Glasses, catalogues: &mut Vec<Stri
             format!("  GLAS ___BLANK 1 0 {} 0 0 0 0 0 0 0\n", plain(index[0]))
         }
         medium => {
+            if let Some((n, v)) = lines_of_table(medium) {
+                return Ok(format!("  GLAS ___BLANK 1 0 {} {} 0 0 0 0 0 0\n", plain(n), plain(v)));
+            }
             let Some((catalogue, name)) = glasses.named_as(medium) else {
-                let allowed = "a glass of a catalogue, or { n_d, v_d }: a Zemax file has no tables";
+                let allowed = "a glass of a catalogue, or { n_d, v_d }: a Zemax file has no tables (--glass-for NAME=GLASS puts a catalogue's in its place)";
                 return Err(Error::bad(lens.file(), place_of_medium(space), medium.to_string(), allowed));
             };
             let (n, v) = lines_of(medium);

@@ -49,7 +49,8 @@ pub(crate) fn freed(problem: &Problem, surfaces: &[usize]) -> Result<Problem> {
     Ok(Problem { bounds, targets: problem.targets.clone(), ..free })
 }
 
-/// The lens with the glasses behind `surfaces` chosen among those of `pool` that are known over its wavelengths.
+/// The lens with the glasses behind `surfaces` chosen among those of `pool` that are known over its wavelengths. Its own glasses stay where all of them are
+/// of the pool and no others do better.
 ///
 /// # Errors
 /// As [`optimize`]; no glass that covers the lens's wavelengths.
@@ -62,9 +63,8 @@ pub fn choose(
 ) -> Result<Outcome> {
     let real = pool.of_lens(&problem.lens)?;
     let mut free = freed(problem, surfaces)?;
+    let own = optimize(problem, limits, watch)?;
     let mut best = optimize(&free, limits, watch)?;
-    // Before: the start with its glasses as pairs of numbers.
-    let first = best.rms_mm[0];
     let mut left = surfaces.to_vec();
     while let Some(i) = left.pop() {
         let [n, v] = best.lens.surfaces[i].medium.pair();
@@ -83,12 +83,7 @@ pub fn choose(
             let Ok(lens) = best.lens.changed(|l| l.surfaces[i].medium = medium.clone()) else { continue };
             let trial = fixed(&free, &lens, i);
             let Ok(outcome) = optimize(&trial, limits, watch) else { continue };
-            let broken = |o: &Outcome| u8::from(o.violation > KEPT);
-            let better = |o: &Outcome| {
-                let less = outcome.merit_mm.total_cmp(&o.merit_mm);
-                broken(&outcome).cmp(&broken(o)).then(less).is_lt()
-            };
-            if chosen.as_ref().is_none_or(|(_, o)| better(o)) {
+            if chosen.as_ref().is_none_or(|(_, o)| better(&outcome, o)) {
                 chosen = Some((trial, outcome));
             }
         }
@@ -98,8 +93,22 @@ pub fn choose(
         };
         (free, best) = (Problem { lens: outcome.lens.clone(), ..trial }, outcome);
     }
-    best.rms_mm[0] = first;
+    let stays = surfaces.iter().all(|i| real.contains(&&problem.lens.surfaces[*i].medium));
+    if stays && !better(&best, &own) {
+        return Ok(own);
+    }
+    // Before: the lens as it was given.
+    best.rms_mm[0] = own.rms_mm[0];
+    for moved in &mut best.moved {
+        moved.before = moved.parameter.value(&*problem.lens).unwrap_or(moved.before);
+    }
     Ok(best)
+}
+
+/// Whether `a` keeps its constraints where `b` does not, or as well with less merit.
+fn better(a: &Outcome, b: &Outcome) -> bool {
+    let broken = |o: &Outcome| u8::from(o.violation > KEPT);
+    broken(a).cmp(&broken(b)).then(a.merit_mm.total_cmp(&b.merit_mm)).is_lt()
 }
 
 /// `problem` from `lens` with the glass behind `surface` no longer free.
@@ -111,4 +120,37 @@ fn fixed(problem: &Problem, lens: &Lens, surface: usize) -> Problem {
         problem.constraints.iter().filter(|c| c.quantity != Quantity::GlassLine(surface)).cloned().collect();
     let targets = problem.targets.clone();
     Problem { bounds, targets, ..Problem::new(lens, parameters, constraints, problem.merit.clone()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lens::builtin;
+    use crate::lens::catalogue::{Glasses, Naming};
+
+    fn chosen(problem: &Problem, among: &[&str]) -> Outcome {
+        let pool = Pool::new(Glasses::shipped(), among, "test").expect("a pool");
+        choose(problem, &[0, 2, 4], &pool, Limits { iterations: 60, ..Limits::default() }, &mut |_| true)
+            .expect("a lens")
+    }
+
+    /// Before is the lens as it was given, whatever stood in for its glasses on the way; its own glasses stay where no others do better.
+    #[test]
+    fn the_start_is_the_lens_that_was_given() {
+        let lens = builtin::lens("cooke_triplet").expect("shipped");
+        let problem = Problem::standard(&lens);
+        let own = optimize(&problem, Limits { iterations: 60, ..Limits::default() }, &mut |_| true).expect("a lens");
+        // Crowns in place of the flint: whatever comes is worse.
+        let worse = chosen(&problem, &["SCHOTT/N-BK7", "SCHOTT/N-K5", "N-SK16"]);
+        assert_eq!(worse.rms_mm[0].to_bits(), own.rms_mm[0].to_bits());
+        assert!(worse.rms_mm[1] > own.rms_mm[1], "{:?}", worse.rms_mm);
+        for m in &worse.moved {
+            assert_eq!(Some(m.before), m.parameter.value(&*lens), "{}", m.name);
+        }
+        // Its own among worse ones.
+        let kept = chosen(&problem, &["N-SK16", "SCHOTT/F2", "SCHOTT/N-BK7", "SCHOTT/N-K5"]);
+        assert!(kept.merit_mm <= own.merit_mm && kept.rms_mm[0] == own.rms_mm[0], "{:?}", kept.rms_mm);
+        let flint = Glasses::shipped().find("SCHOTT/F2", Naming::Exact).expect("shipped");
+        assert_eq!(kept.lens.surfaces[2].medium, flint);
+    }
 }

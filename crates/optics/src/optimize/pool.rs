@@ -21,12 +21,15 @@ pub struct Pool {
 }
 
 impl Pool {
-    /// Whether a part of a pattern speaks of glasses (`SCHOTT/*`, `!plastic`, `obsolete`), not of surfaces.
-    pub fn is_filter(part: &str) -> bool {
-        part.contains('/') || part.starts_with('!') || KINDS.iter().any(|k| part.eq_ignore_ascii_case(k))
+    /// Whether a part of a pattern speaks of glasses (`SCHOTT/*`, `N-BK7`, `!plastic`, `obsolete`), not of surfaces.
+    pub fn is_filter(glasses: &Glasses, part: &str) -> bool {
+        part.contains('/')
+            || part.starts_with('!')
+            || KINDS.iter().any(|k| part.eq_ignore_ascii_case(k))
+            || glasses.listed_all().any(|g| part.eq_ignore_ascii_case(g.name))
     }
 
-    /// The glasses of `glasses` that `filters` let through: `CATALOGUE/NAME` with `*` for any letters takes those and no others, `!` before it leaves
+    /// The glasses of `glasses` that `filters` let through: `CATALOGUE/NAME` with `*` for any letters, or a glass's name, takes those and no others, `!` before it leaves
     /// them out; `plastic` lets polymers be cemented to glass, `!plastic` leaves them out; `obsolete` takes types that are no longer made, as a full name
     /// without `*` does. `place` names where the filters come from.
     ///
@@ -44,16 +47,22 @@ impl Pool {
             if KINDS.iter().any(|k| bare.eq_ignore_ascii_case(k)) {
                 continue;
             }
-            if !bare.contains('/') {
+            // A name alone: of whatever catalogue.
+            let of_name = |n: &&String| n.split_once('/').is_some_and(|(_, name)| name == bare);
+            let meant: Vec<String> = match bare.contains('/') {
+                true => vec![bare.clone()],
+                false => named.iter().filter(of_name).cloned().collect(),
+            };
+            if meant.is_empty() {
                 return Err(refused(
                     filter,
-                    "CATALOGUE/NAME such as SCHOTT/*, plastic, obsolete; `!` before one leaves it out",
+                    "a glass's name, CATALOGUE/NAME such as SCHOTT/*, plastic, obsolete; `!` before one leaves it out",
                 ));
             }
-            if !named.iter().any(|n| matches(&bare, n)) {
+            if !named.iter().any(|n| meant.iter().any(|m| matches(m, n))) {
                 return Err(refused(filter, "a catalogue and a name, or `*`, that a glass at hand has"));
             }
-            if filter.starts_with('!') { left.push(bare) } else { taken.push(bare) }
+            if filter.starts_with('!') { left.extend(meant) } else { taken.extend(meant) }
         }
         let keeps = |(g, name): &(Listed<'_>, &String)| {
             let by_name = taken.iter().any(|p| !p.contains('*') && p == *name);
@@ -134,7 +143,13 @@ mod tests {
                 && has(&pool(&["!plastic"]), "N-BK7")
         );
         assert!(has(&pool(&["obsolete"]), "SCHOTT/F4") && has(&pool(&["SCHOTT/F4"]), "SCHOTT/F4"));
-        for wrong in ["NOBODY/*", "!cheap", "SCHOTT/UNOBTAINIUM"] {
+        // A name alone is that glass of whatever catalogue, and no surface.
+        let two = pool(&["n-sk16", "F2"]);
+        assert!(has(&two, "N-SK16") && has(&two, "SCHOTT/F2") && !has(&two, "N-BK7"));
+        assert!(
+            Pool::is_filter(Glasses::shipped(), "N-BK7") && !Pool::is_filter(Glasses::shipped(), "surface[2].medium")
+        );
+        for wrong in ["UNOBTAINIUM", "NOBODY/*", "!cheap", "SCHOTT/UNOBTAINIUM"] {
             assert!(Pool::new(Glasses::shipped(), &[wrong], "--choose-glass").is_err(), "{wrong}");
         }
     }

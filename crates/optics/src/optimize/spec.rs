@@ -9,12 +9,13 @@ use super::merit::{Apertures, Merit, Quality, Reference};
 use super::pattern::parameters;
 use super::problem::Problem;
 use super::standard::check_bounds;
-use crate::lens::{Kind, Lens, Parameter};
+use crate::lens::paraxial::first_order;
+use crate::lens::{Aperture, Kind, Lens, Parameter};
 use isoplanat_base::error::{Error, Result};
 
 /// A number, or its smallest and largest value.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "a number, or [LOW, HIGH], either of them inf or -inf where there is none")]
 pub enum Range {
     /// Held.
     One(f64),
@@ -77,7 +78,7 @@ pub struct Spec {
     /// Patterns of numbers that do not.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub fix: Vec<String>,
-    /// Bounds by pattern, in the units of the names (mm, 1/mm, radians).
+    /// Bounds by pattern, in the units of the names (mm, 1/mm, radians). A side without a bound keeps the standard one.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub bounds: BTreeMap<String, Range>,
     /// Constraints by name.
@@ -114,6 +115,9 @@ pub struct Spec {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub apertures: Option<String>,
 }
+
+/// Relative difference of f-numbers that are the same.
+const SAME: f64 = 1e-6;
 
 /// Names of constraints and targets; some stand for many.
 const GROUPS: &str = "focal_length, f_number, working_f_number, track, back_focus, distortion, edge_glass, edge_air, slope, reach, surface[i].edge, \
@@ -179,6 +183,9 @@ impl Spec {
                 targets.push(Target { quantity, value: *value, weight: *weight });
             }
         }
+        if self.releases_focal_length(lens) {
+            constraints.retain(|c| c.quantity != Quantity::FocalLength);
+        }
         // What the lens does not have is not held; what is stated is, or is refused below.
         constraints.retain(|c| c.bounds.iter().any(|b| b.is_finite()));
         for (name, range) in &self.constraints {
@@ -195,12 +202,25 @@ impl Spec {
             check_bounds(file, pattern, range.bounds())?;
             for (p, b) in problem.variables.parameters.iter().zip(&mut problem.bounds) {
                 if named.contains(p) {
-                    *b = range.bounds();
+                    *b = within_standard(range.bounds(), *b);
                 }
             }
         }
         problem.check().map_err(|e| e.of_file(file))?;
         Ok(problem)
+    }
+
+    /// Whether another f-number than the lens has is asked for, to which its focal length has to give way: its aperture is stated by another size, which stays.
+    fn releases_focal_length(&self, lens: &Lens) -> bool {
+        if matches!(lens.aperture, Aperture::FNumber(_))
+            || self.constraints.contains_key("focal_length")
+            || self.targets.contains_key("focal_length")
+        {
+            return false;
+        }
+        let own = first_order(lens, lens.wavelengths.primary_nm).f_number;
+        let other = |[low, high]: [f64; 2]| own < low * (1.0 - SAME) || own > high * (1.0 + SAME);
+        self.targets.contains_key("f_number") || self.constraints.get("f_number").is_some_and(|r| other(r.bounds()))
     }
 
     /// What bounds take in that their pattern does not say by name: the distance to the sensor among thicknesses. One line each.
@@ -211,6 +231,9 @@ impl Spec {
         let sensor = Kind::Thickness.at(lens.surfaces.len() - 1);
         let name = sensor.name(lens);
         let mut out = Vec::new();
+        if self.releases_focal_length(lens) {
+            out.push("f_number is asked for, so that focal_length is not held".into());
+        }
         for pattern in self.bounds.keys().filter(|p| **p != name) {
             if parameters(lens, pattern, file)?.contains(&sensor) && !self.bounds.contains_key(&name) {
                 out.push(format!("the bound on {pattern} takes in {name}, the distance to the sensor"));
@@ -259,6 +282,13 @@ impl Spec {
         merit.check(file)?;
         Ok(merit)
     }
+}
+
+/// The bounds `stated`, with the `standard` one on a side where none is stated, unless the other side is beyond it.
+fn within_standard([low, high]: [f64; 2], standard: [f64; 2]) -> [f64; 2] {
+    let keeps =
+        |stated: f64, standard: f64, crosses: bool| if stated.is_infinite() && !crosses { standard } else { stated };
+    [keeps(low, standard[0], high < standard[0]), keeps(high, standard[1], low > standard[1])]
 }
 
 /// The quantities that a name of a constraint or target (`place`) stands for.

@@ -333,3 +333,53 @@ fn what_has_no_number_at_the_end_is_named() {
     let error = outcome.require("test").expect_err("no number").to_string();
     assert!(error.contains("test: track: no number"), "{error}");
 }
+
+/// A side that is not stated keeps the standard bound; what the stated side leaves no room for is given up.
+#[test]
+fn a_bound_on_one_side_keeps_the_other() {
+    let lens = builtin::lens("cooke_triplet").expect("shipped");
+    let bounds = |range: &str| {
+        let range = spec::Range::parse(range, "test").expect("a range");
+        let spec = spec::Spec { bounds: [("surface[1].thickness".to_owned(), range)].into(), ..spec::Spec::default() };
+        let problem = spec.problem(&lens, "test").expect("a problem");
+        let at = problem.variables.parameters.iter().position(|p| *p == Kind::Thickness.at(1)).expect("moves");
+        problem.bounds[at]
+    };
+    let [low, high] = bounds("..");
+    assert!(low > 0.0 && high.is_finite() && low < 7.0, "{low} {high}");
+    assert_eq!([bounds("..7"), bounds("1..")], [[low, 7.0], [1.0, high]]);
+    assert_eq!([bounds("..-5"), bounds("0.1..7")], [[f64::NEG_INFINITY, -5.0], [0.1, 7.0]]);
+}
+
+/// A lens whose aperture is a diameter gets another f-number by another focal length.
+#[test]
+fn an_f_number_that_is_asked_for_moves_the_focal_length() {
+    let lens = builtin::lens("cooke_triplet").expect("shipped");
+    let first = crate::lens::paraxial::first_order(&lens, lens.wavelengths.primary_nm);
+    let sized =
+        lens.changed(|l| l.aperture = crate::lens::Aperture::EntrancePupilDiameter(first.entrance_pupil_diameter));
+    let sized = sized.expect("a lens");
+    let held = |lens: &Lens, range: &str| {
+        let range = spec::Range::parse(range, "test").expect("a range");
+        let spec = spec::Spec { constraints: [("f_number".to_owned(), range)].into(), ..spec::Spec::default() };
+        let problem = spec.problem(lens, "test").expect("a problem");
+        let told = !spec.notes(lens, "test").expect("notes").is_empty();
+        let holds = problem.constraints.iter().any(|c| c.quantity == Quantity::FocalLength);
+        assert_eq!(holds, !told);
+        holds
+    };
+    let own = first.f_number;
+    assert!(!held(&sized, &format!("{}", 1.2 * own)) && !held(&sized, &format!("..{}", 0.9 * own)));
+    assert!(held(&sized, &format!("{}..{}", 0.9 * own, 1.1 * own)));
+    let stated = lens.changed(|l| l.aperture = crate::lens::Aperture::FNumber(own)).expect("a lens");
+    assert!(held(&stated, &format!("{}", 1.2 * own)));
+}
+
+/// What is no range is said in words.
+#[test]
+fn ranges_that_are_none_are_told() {
+    for text in ["track = \"..60\"", "track = [1.0]", "track = { min = 1 }"] {
+        let error = spec::Spec::from_toml(&format!("[constraints]\n{text}\n"), "m.toml").expect_err(text).to_string();
+        assert!(error.contains("line 2") && error.contains("[LOW, HIGH]"), "{error}");
+    }
+}
