@@ -70,7 +70,15 @@ impl Case {
         let v = self.lens.object_vergence;
         let nm = &quadrature.nm;
         let radii_mm = Adapted::compute(&self.lens, v, nm, degree, self.radius_mm, tolerance).expect("traces").radii_mm;
-        OpticsSpec { radii_mm, vergences: vec![v], quadrature, degree, illuminations: 192, diffraction: Model::Rays }
+        OpticsSpec {
+            radii_mm,
+            vergences: vec![v],
+            quadrature,
+            degree,
+            lit: false,
+            illuminations: 192,
+            diffraction: Model::Rays,
+        }
     }
 
     pub(crate) fn optics(&self, degree: usize) -> Optics {

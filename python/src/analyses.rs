@@ -24,6 +24,7 @@ use crate::work::{here, work};
 pub(crate) struct Look {
     pub(crate) distance_mm: Option<f64>,
     pub(crate) rays: usize,
+    pub(crate) fields_deg: Vec<f64>,
     pub(crate) max_angle_deg: Option<f64>,
     pub(crate) max_cycles_per_mm: Option<f64>,
     pub(crate) shift_mm: Option<f64>,
@@ -31,14 +32,22 @@ pub(crate) struct Look {
 
 impl Default for Look {
     fn default() -> Self {
-        Self { distance_mm: None, rays: 1600, max_angle_deg: None, max_cycles_per_mm: None, shift_mm: None }
+        Self {
+            distance_mm: None,
+            rays: 1600,
+            fields_deg: Vec::new(),
+            max_angle_deg: None,
+            max_cycles_per_mm: None,
+            shift_mm: None,
+        }
     }
 }
 
 impl Look {
     fn options(&self) -> PyResult<Options> {
         let Self { rays, max_angle_deg, max_cycles_per_mm, shift_mm, .. } = *self;
-        let asked = Asked { rays, max_angle_deg, max_cycles_per_mm, shift_mm };
+        let fields_deg = self.fields_deg.clone();
+        let asked = Asked { rays, fields_deg, max_angle_deg, max_cycles_per_mm, shift_mm };
         let told = |Refused { name, found, allowed }: Refused| refused(name, found, allowed);
         asked.options(Limit::of_process()).map_err(told)
     }

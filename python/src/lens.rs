@@ -413,31 +413,34 @@ impl Lens {
 
     /// Spots by field: `fields` (rms, radii, centroid, best focus; radii by diffraction; mm; Strehl ratio), `plots`, and arrays `rays` [field, wavelength, ray, 5] (x, y in mm, slopes,
     /// weight), `wavelength_nm`, `weight`, `field_angle_deg`.
-    #[pyo3(signature = (*, distance_mm = None, rays = 1600, max_angle_deg = None))]
+    #[pyo3(signature = (*, distance_mm = None, rays = 1600, fields_deg = Vec::new(), max_angle_deg = None))]
     fn spot(
         &self,
         py: Python<'_>,
         distance_mm: Option<f64>,
         rays: usize,
+        fields_deg: Vec<f64>,
         max_angle_deg: Option<f64>,
     ) -> PyResult<Py<PyAny>> {
-        let look = Look { distance_mm, rays, max_angle_deg, ..Look::default() };
+        let look = Look { distance_mm, rays, fields_deg, max_angle_deg, ..Look::default() };
         crate::analyses::analysis(py, &self.inner, Analysis::Spot, look)
     }
 
     /// Modulation transfer by rays and by diffraction: `fields`, `plots`, and arrays `mtf`, `mtf_diffraction` [shift, field, frequency, direction],
     /// `shift_mm`, `cycles_per_mm`, `field_angle_deg`. Directions: tangential, sagittal.
-    #[pyo3(signature = (*, distance_mm = None, rays = 1600, max_angle_deg = None, max_cycles_per_mm = None, shift_mm = None))]
+    #[pyo3(signature = (*, distance_mm = None, rays = 1600, fields_deg = Vec::new(), max_angle_deg = None, max_cycles_per_mm = None, shift_mm = None))]
+    #[expect(clippy::too_many_arguments, reason = "each is a keyword of its own")]
     fn mtf(
         &self,
         py: Python<'_>,
         distance_mm: Option<f64>,
         rays: usize,
+        fields_deg: Vec<f64>,
         max_angle_deg: Option<f64>,
         max_cycles_per_mm: Option<f64>,
         shift_mm: Option<f64>,
     ) -> PyResult<Py<PyAny>> {
-        let look = Look { distance_mm, rays, max_angle_deg, max_cycles_per_mm, shift_mm };
+        let look = Look { distance_mm, rays, fields_deg, max_angle_deg, max_cycles_per_mm, shift_mm };
         crate::analyses::analysis(py, &self.inner, Analysis::Mtf, look)
     }
 

@@ -283,6 +283,10 @@ impl Asked<'_, '_> {
         if !made.0.holds {
             warn(py, &shortfall(made.0.predicted_db, db, "min_psnr_db"))?;
         }
+        let plan = &made.0.renderer.plan;
+        if let Some(text) = plan.table_error.untold(plan.frame.pitch_mm) {
+            warn(py, &text)?;
+        }
         Ok(made)
     }
 }

@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use isoplanat::analysis::overview::Overview;
+use isoplanat::analysis::overview::{Field, Overview};
 use isoplanat::atomic::Target;
 use isoplanat::lens::Lens;
 use isoplanat::math::npz;
@@ -26,6 +26,9 @@ pub(crate) struct View {
     /// Largest field angle, degrees [default: where sensor, stated field or light end]
     #[arg(long, allow_negative_numbers = true, value_name = "DEG")]
     max_angle_deg: Option<f64>,
+    /// Field angles, degrees, with commas between [default: five from the axis to the largest]
+    #[arg(long, value_name = "DEG,DEG", value_delimiter = ',', conflicts_with = "max_angle_deg")]
+    fields_deg: Vec<f64>,
     /// Highest frequency of the MTF, cycles/mm [default: the sensor's Nyquist frequency]
     #[arg(long, allow_negative_numbers = true, value_name = "CY/MM")]
     max_cycles_per_mm: Option<f64>,
@@ -49,10 +52,16 @@ impl View {
         }
     }
 
+    /// Whether fields go as far as there are any.
+    fn all_fields(&self) -> bool {
+        self.max_angle_deg.is_none() && self.fields_deg.is_empty()
+    }
+
     /// The checked options; kernels are grey.
     pub(crate) fn options(&self) -> Result<Options> {
         let Self { max_angle_deg, max_cycles_per_mm, shift_mm, .. } = *self;
-        let asked = Asked { rays: self.rays as usize, max_angle_deg, max_cycles_per_mm, shift_mm };
+        let fields_deg = self.fields_deg.clone();
+        let asked = Asked { rays: self.rays as usize, fields_deg, max_angle_deg, max_cycles_per_mm, shift_mm };
         asked.options(crate::memory::limit()).map_err(|Refused { name, found, allowed }| {
             Error::bad(format!("--{}", name.replace('_', "-")), "value", found.to_string(), allowed)
         })
@@ -116,9 +125,32 @@ pub(crate) fn run(analysis: Analysis, args: &Args, out: &mut dyn Write) -> anyho
         return Ok(());
     }
     found.missing.iter().for_each(|m| crate::tell!("note: {}: {m}", lens.file()));
-    write!(out, "{}", table(analysis, &found.overview))?;
+    let o = &found.overview;
+    if analysis == Analysis::Mtf {
+        writeln!(out, "MTF of rays, on the sensor; T tangential, S sagittal")?;
+    }
+    write!(out, "{}", table(analysis, o))?;
+    match analysis {
+        Analysis::Mtf if o.fields.iter().any(|f| matches!(f.diffraction, Some(Ok(_)))) => {
+            write!(out, "\nMTF by diffraction\n{}", mtf_table(o, |field, k| by_waves(o, field, k)))?;
+        }
+        Analysis::Spot => {
+            if let Some(text) = sampled(o) {
+                writeln!(out, "{text}")?;
+            }
+        }
+        _ => {}
+    }
+    let (shown, stated) = (o.settings.angles_deg.last().copied().unwrap_or(0.0), lens.max_field_deg());
+    if args.view.all_fields() && shown < stated * (1.0 - ENDS) {
+        let [shown, stated] = [shown, stated].map(|angle| significant(angle, 4));
+        writeln!(out, "fields end with sensor or light, at {shown}°; --max-angle-deg {stated} takes the stated field")?;
+    }
     Ok(())
 }
+
+/// Parts of the stated field that fields may end before without a word.
+const ENDS: f64 = 1e-3;
 
 /// A number, or a dash where there is none.
 fn figure(value: f64, words: impl Fn(f64) -> String) -> String {
@@ -138,15 +170,35 @@ fn table(analysis: Analysis, o: &Overview) -> Table {
             }
             table
         }
-        Analysis::Mtf => {
-            let angle = |f: &isoplanat::analysis::overview::Field| significant(f.angle_deg, 4);
-            let names = o.fields.iter().flat_map(|f| [format!("{}° T", angle(f)), format!("{}° S", angle(f))]);
-            let mut table = Table::new(std::iter::once("cycles/mm".to_owned()).chain(names));
-            for (k, f) in o.cycles_per_mm.iter().enumerate() {
-                let values = o.fields.iter().flat_map(|field| field.mtf[k]).map(|v| figure(v, |v| format!("{v:.4}")));
-                table.row(std::iter::once(significant(*f, 5)).chain(values));
-            }
-            table
-        }
+        Analysis::Mtf => mtf_table(o, |field, k| field.mtf[k]),
     }
+}
+
+/// MTF on the sensor by frequency, tangential and sagittal of each field, as `of` a field and the number of a frequency gives them.
+fn mtf_table(o: &Overview, of: impl Fn(&Field, usize) -> [f64; 2]) -> Table {
+    let angle = |f: &Field| significant(f.angle_deg, 4);
+    let names = o.fields.iter().flat_map(|f| [format!("{}° T", angle(f)), format!("{}° S", angle(f))]);
+    let mut table = Table::new(std::iter::once("cycles/mm".to_owned()).chain(names));
+    for (k, f) in o.cycles_per_mm.iter().enumerate() {
+        let values = o.fields.iter().flat_map(|field| of(field, k)).map(|v| figure(v, |v| format!("{v:.4}")));
+        table.row(std::iter::once(significant(*f, 5)).chain(values));
+    }
+    table
+}
+
+/// MTF by diffraction on the sensor; not numbers where there is none.
+fn by_waves(o: &Overview, field: &Field, k: usize) -> [f64; 2] {
+    let Some(Ok(mtf)) = &field.diffraction else { return [f64::NAN; 2] };
+    [0, 1].map(|d| mtf.curves.get(d).and_then(|c| c.modulus(o.shifts_mm.len() / 2, k)).unwrap_or(f64::NAN))
+}
+
+/// What the sampling of spots leaves open: the most that the rms of a quarter of the rays differs by, where that is a part of it worth telling.
+fn sampled(o: &Overview) -> Option<String> {
+    const TOLD: f64 = 0.01;
+    let most = o.fields.iter().filter_map(|f| f.rms).map(|r| r.change / r.value).fold(0.0, f64::max);
+    let rays = o.settings.rays;
+    (most > TOLD && most.is_finite()).then(|| {
+        let percent = significant(100.0 * most, 2);
+        format!("rms of {rays} rays a wavelength: {percent} % from that of {} at most; --rays takes more", rays / 4)
+    })
 }

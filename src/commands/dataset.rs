@@ -199,6 +199,11 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         let text = shortfall(plan.predicted_psnr_db, settings.min_psnr_db, "--min-psnr-db");
         crate::tell!("warning: {}: {text}", plan.lens);
     }
+    for plan in &made.planned {
+        if let Some(text) = &plan.untold {
+            crate::tell!("warning: {}: {text}", plan.lens);
+        }
+    }
     if made.damaged > 0 {
         crate::tell!("note: {} units with files that are damaged or gone were made again", made.damaged);
     }

@@ -89,6 +89,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         let colours = atlas::colour_kernels(&lens, &request)?.kernels;
         write_png8(Target::new(path, args.common.force), &atlas::picture(&colours, columns, atlas::Style::default()))?;
     }
+    if let Some(text) = &kernels.untold {
+        crate::tell!("warning: {}: {text}", args.lens);
+    }
     let rows = rows(&kernels);
     let names = if kernels.energy.is_some() { &COLUMNS[..] } else { &COLUMNS[..OF_RAYS] };
     if let Some(path) = &args.csv {

@@ -249,6 +249,10 @@ impl Way {
             let text = shortfall(plan.predicted_db, args.min_psnr_db.unwrap_or(DEFAULT_DB), "--min-psnr-db");
             crate::tell!("warning: {text}");
         }
+        let render = &plan.renderer.plan;
+        if let Some(text) = render.table_error.untold(render.frame.pitch_mm) {
+            crate::tell!("warning: {text}");
+        }
         if planned < count && !args.everything {
             #[expect(clippy::cast_precision_loss, reason = "a share")]
             let remaining = planned as f64 / count as f64;

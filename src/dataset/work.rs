@@ -40,6 +40,9 @@ pub struct Planned {
     pub predicted_psnr_db: Option<f64>,
     /// Whether what is asked for is predicted to hold.
     pub holds: bool,
+    /// What is not known of its rays; nothing where they are told.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub untold: Option<String>,
 }
 
 /// What was done.
@@ -164,6 +167,7 @@ impl Work<'_> {
                 diffraction: stage.plan.renderer.optics.spec.diffraction,
                 predicted_psnr_db: stage.plan.predicted_db.filter(|db| db.is_finite()),
                 holds: stage.plan.holds,
+                untold: stage.plan.renderer.plan.table_error.untold(stage.plan.renderer.plan.frame.pitch_mm),
             });
             // A lens that cannot be planned leaves nothing behind.
             if !there {

@@ -45,6 +45,9 @@ pub struct KernelSet {
     /// Bytes, from above, that making the kernels took beside them.
     #[doc(hidden)]
     pub making: u64,
+    /// What is not known of rays; nothing where they are told.
+    #[doc(hidden)]
+    pub untold: Option<String>,
 }
 
 impl KernelSet {
@@ -92,6 +95,7 @@ impl KernelSet {
                 (strehl, Array3::from_shape_fn((depths, fields, 3), |(d, f, k)| of(d, f).1[k]))
             }),
             making,
+            untold: plan.untold.clone(),
         };
         for (d, line) in plan.lines.iter().enumerate() {
             for f in 0..fields {

@@ -81,6 +81,8 @@ pub struct KernelPlan {
     pub form: KernelForm,
     /// Bytes, from above, of what is needed beside the kernels while they are made.
     making: u64,
+    /// What is not known of rays; nothing where they are told.
+    pub untold: Option<String>,
 }
 
 /// Kernels of a [`KernelPlan`].
@@ -120,7 +122,7 @@ impl KernelPlan {
         let far = lines.iter().flat_map(|l| &l.radius_mm).copied().fold(0.0, f64::max);
         let tolerance = Tolerance { landing_mm: LANDING_ERROR_PX * request.pitch_mm, weight: 1e-4 };
         let spec = OpticsSpec::even(far.max(1e-3), vergences, quadrature);
-        let optics = Optics::adapted(lens, spec, tolerance)?.0;
+        let (optics, errors) = Optics::adapted(lens, spec, tolerance)?;
         let optics = if request.diffraction { optics.diffracting(lens, Model::Waves)? } else { optics };
         let size = match request.size {
             Some(size) => size,
@@ -133,7 +135,8 @@ impl KernelPlan {
         let bytes = bytes(count, optics.channels(), size).saturating_add(making);
         request.memory.allow(&format!("{count} kernels of {size} × {size}"), bytes, instead)?;
         let form = optics.form(request.rays, size, 1, request.pitch_mm);
-        Ok(Self { optics, lines, form, making })
+        let untold = errors.untold(request.pitch_mm);
+        Ok(Self { optics, lines, form, making, untold })
     }
 
     /// Traces `lens`, which has moved since this plan was made: radii, places on the sensor and window stay.

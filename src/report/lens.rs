@@ -44,6 +44,8 @@ pub use page::html;
 pub struct Options {
     /// Rays of a spot and wavelength.
     pub rays: usize,
+    /// Field angles, degrees, rising; none: five, from the axis to the largest.
+    pub fields_deg: Vec<f64>,
     /// Largest field angle, degrees; `None` takes where sensor, field or light end.
     pub max_angle_deg: Option<f64>,
     /// Highest frequency of the MTF, cycles/mm; `None` takes the sensor's Nyquist frequency.
@@ -115,7 +117,8 @@ pub struct LensReport {
 /// Rays, curves and MTF of `lens`, and what could not be shown of it.
 pub fn look(lens: &Lens, options: &Options) -> (Overview, Vec<String>) {
     let mut missing = Vec::new();
-    let max_angle = options.max_angle_deg.unwrap_or_else(|| {
+    let last = options.fields_deg.last().copied();
+    let max_angle = last.or(options.max_angle_deg).unwrap_or_else(|| {
         let mut stated = |why: String| {
             missing.push(format!("fields end at the stated angle, not with sensor or light: {why}"));
             lens.max_field_deg()
@@ -131,7 +134,9 @@ pub fn look(lens: &Lens, options: &Options) -> (Overview, Vec<String>) {
         }
     });
     let usual = Settings::usual(lens, max_angle);
+    let stated = (!options.fields_deg.is_empty()).then(|| options.fields_deg.clone());
     let settings = Settings {
+        angles_deg: stated.unwrap_or(usual.angles_deg),
         rays: options.rays,
         drawn: usual.drawn.min(options.rays / 3),
         shifts: options.shifts,

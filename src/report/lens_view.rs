@@ -57,6 +57,7 @@ impl LensView {
         let first = paraxial::first_order(lens, lens.wavelengths.primary_nm);
         let options = Options {
             rays: RAYS,
+            fields_deg: Vec::new(),
             max_angle_deg: None,
             cycles_per_mm: None,
             shift_mm: None,

@@ -164,6 +164,7 @@ fn what_is_read_from_the_optics_pulls_back_to_the_lens() {
         vergences: vec![1e-3],
         quadrature,
         degree: 5,
+        lit: false,
         illuminations: 48,
         diffraction: Model::Rays,
     };

@@ -22,6 +22,7 @@ fn optics(lens: &Lens, radius_mm: f64) -> Optics {
         vergences: vec![lens.object_vergence],
         quadrature: Quadrature { nm: vec![NM], weight: vec![vec![1.0]] },
         degree: 9,
+        lit: false,
         illuminations: 1,
         diffraction: Model::Rays,
     };

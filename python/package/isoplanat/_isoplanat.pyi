@@ -265,13 +265,19 @@ class Lens:
     ) -> dict[str, Any]: ...
     def inspect(self, *, wavelength_nm: float | None = None) -> dict[str, Any]: ...
     def spot(
-        self, *, distance_mm: float | None = None, rays: int = 1600, max_angle_deg: float | None = None
+        self,
+        *,
+        distance_mm: float | None = None,
+        rays: int = 1600,
+        fields_deg: Sequence[float] = ...,
+        max_angle_deg: float | None = None,
     ) -> dict[str, Any]: ...
     def mtf(
         self,
         *,
         distance_mm: float | None = None,
         rays: int = 1600,
+        fields_deg: Sequence[float] = ...,
         max_angle_deg: float | None = None,
         max_cycles_per_mm: float | None = None,
         shift_mm: float | None = None,

@@ -64,7 +64,7 @@ impl GridFigures {
             scene_samples_per_px: depth.samples,
             pixels_per_cell: depth.bin,
             wavelengths: render.settings.wavelengths,
-            pupil_degree: render.settings.degree,
+            pupil_degree: optics.spec.degree,
             pupil_points: render.settings.dense,
             diffraction: optics.spec.diffraction,
             kernel_cells: depth.size(),

@@ -23,10 +23,12 @@ pub enum Analysis {
 }
 
 /// What a look at a lens's rays can be told, unchecked.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Asked {
     /// Rays of a spot and wavelength.
     pub rays: usize,
+    /// As [`Options::fields_deg`], in any order.
+    pub fields_deg: Vec<f64>,
     /// As [`Options::max_angle_deg`].
     pub max_angle_deg: Option<f64>,
     /// As [`Options::cycles_per_mm`].
@@ -52,11 +54,17 @@ impl Asked {
     /// # Errors
     /// The first value that is not allowed.
     pub fn options(self, memory: Limit) -> Result<Options, Refused> {
-        let Self { rays, max_angle_deg, max_cycles_per_mm, shift_mm } = self;
+        let Self { rays, mut fields_deg, max_angle_deg, max_cycles_per_mm, shift_mm } = self;
+        fields_deg
+            .iter()
+            .try_for_each(|f| within("fields_deg", Some(*f), 0.0..=120.0, "0 to 120 degrees").map(|_| ()))?;
+        fields_deg.sort_by(f64::total_cmp);
+        fields_deg.dedup();
         #[expect(clippy::cast_precision_loss, reason = "a count that is refused where it is large")]
         within("rays", Some(rays as f64), 16.0..=1e6, "16 to 1000000")?;
         Ok(Options {
             rays,
+            fields_deg,
             max_angle_deg: within("max_angle_deg", max_angle_deg, 0.0..=120.0, "0 to 120 degrees")?,
             cycles_per_mm: within("max_cycles_per_mm", max_cycles_per_mm, 1e-3..=1e5, "0.001 to 100000")?,
             shift_mm: within("shift_mm", shift_mm, 1e-6..=1e3, "1e-6 to 1000 mm")?,

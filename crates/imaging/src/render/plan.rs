@@ -192,6 +192,7 @@ pub fn optics(
         vergences: vergences.to_vec(),
         quadrature,
         degree,
+        lit: false,
         illuminations,
         diffraction: Model::Rays,
     };

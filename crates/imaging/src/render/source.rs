@@ -360,7 +360,7 @@ mod tests {
     fn map() -> SensorMap {
         let lens = builtin::lens("two_element").expect("shipped");
         let radii_mm = (0..=12).map(|i| 1.5 * f64::from(i)).collect();
-        let spec = TableSpec { radii_mm, wavelength_nm: vec![550.0], degree: 5 };
+        let spec = TableSpec { radii_mm, wavelength_nm: vec![550.0], degree: 5, lit: false };
         SensorMap::fit(&lens, &Table::compute(&lens, &spec).expect("traces"), 1e-3).expect("grows")
     }
 

@@ -263,7 +263,7 @@ mod tests {
     fn what_stands_out_is_looked_at() {
         let lens = builtin::lens("two_element").expect("shipped");
         let radii_mm = (0..=12).map(|i| 1.5 * f64::from(i)).collect();
-        let spec = TableSpec { radii_mm, wavelength_nm: vec![550.0], degree: 5 };
+        let spec = TableSpec { radii_mm, wavelength_nm: vec![550.0], degree: 5, lit: false };
         let map = SensorMap::fit(&lens, &Table::compute(&lens, &spec).expect("traces"), 1e-3).expect("grows");
         let frame = Frame::centred(900, 600, 0.03).expect("valid");
         let region = Region::whole(&frame);

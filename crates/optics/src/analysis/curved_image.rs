@@ -132,7 +132,7 @@ fn a_small_stop_of_a_ball_resolves_and_lights_the_same_everywhere() {
         assert!(b < 0.98 * axis[1].modulus(0, 2).expect("told"), "{b}");
         assert_abs(a, b, 2e-3, "MTF out of focus");
     }
-    let spec = TableSpec { radii_mm: vec![0.0, 3.0, 6.0, 10.0], wavelength_nm: vec![NM], degree: 7 };
+    let spec = TableSpec { radii_mm: vec![0.0, 3.0, 6.0, 10.0], wavelength_nm: vec![NM], degree: 7, lit: false };
     let table = Table::compute(&lens, &spec).expect("light");
     let map = SensorMap::fit(&lens, &table, 0.0).expect("a map");
     for (radius, angle) in [(3.0f64, (3.0f64 / F).asin()), (10.0, (10.0 / F).asin())] {

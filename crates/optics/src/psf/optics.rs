@@ -60,6 +60,8 @@ pub struct OpticsSpec {
     pub quadrature: Quadrature,
     /// Degree of the polynomials over the stop.
     pub degree: usize,
+    /// As [`TableSpec::lit`].
+    pub lit: bool,
     /// Radii of the illumination, less one.
     pub illuminations: u32,
     /// By what kernels are made.
@@ -75,7 +77,7 @@ impl OpticsSpec {
     /// `intervals` of it.
     fn knots(intervals: u32, radius_mm: f64, vergences: Vec<f64>, quadrature: Quadrature) -> Self {
         let radii_mm = (0..=intervals).map(|i| radius_mm * f64::from(i) / f64::from(intervals)).collect();
-        Self { radii_mm, vergences, quadrature, degree: 9, illuminations: 256, diffraction: Model::Rays }
+        Self { radii_mm, vergences, quadrature, degree: 9, lit: false, illuminations: 256, diffraction: Model::Rays }
     }
 }
 
@@ -180,11 +182,17 @@ impl Optics {
     pub fn compute(lens: &Lens, spec: &OpticsSpec) -> Result<Self> {
         finite(&spec.vergences)?;
         let Quadrature { nm, .. } = &spec.quadrature;
-        let table_spec = TableSpec { radii_mm: spec.radii_mm.clone(), wavelength_nm: nm.clone(), degree: spec.degree };
+        let table_spec = TableSpec {
+            radii_mm: spec.radii_mm.clone(),
+            wavelength_nm: nm.clone(),
+            degree: spec.degree,
+            lit: spec.lit,
+        };
         Self::of(lens, Table::compute(lens, &table_spec)?, spec.clone())
     }
 
-    /// Traces `lens` at knots that hold `tolerance` up to the last radius of `spec`, whose other radii are not looked at; and what their errors are.
+    /// Traces `lens` at knots, and by polynomials over the stop of at least the degree of `spec`, that hold `tolerance` up to its last radius, whose other radii are not looked
+    /// at; and what their errors are.
     ///
     /// # Errors
     /// As [`Self::compute`].
@@ -195,7 +203,8 @@ impl Optics {
         let nm = &spec.quadrature.nm;
         let Adapted { table, radii_mm, errors } =
             Adapted::compute(lens, nearest, nm, spec.degree, radius_mm, tolerance)?;
-        Ok((Self::of(lens, table, OpticsSpec { radii_mm, ..spec })?, errors))
+        let (degree, lit) = (table.spec.degree, table.spec.lit);
+        Ok((Self::of(lens, table, OpticsSpec { radii_mm, degree, lit, ..spec })?, errors))
     }
 
     fn of(lens: &Lens, table: Table, spec: OpticsSpec) -> Result<Self> {
@@ -218,6 +227,7 @@ impl Optics {
             quadrature: Quadrature { nm: Vec::new(), weight: (0..3).map(sees).collect() },
             // No rays, no polynomials.
             degree: 1,
+            lit: false,
             illuminations: 0,
             diffraction: Model::Rays,
         };

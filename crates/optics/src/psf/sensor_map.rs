@@ -284,7 +284,7 @@ mod tests {
     pub(super) fn map(name: &str, radius_mm: f64, vergence: f64) -> SensorMap {
         let lens = builtin::lens(name).expect("shipped");
         let radii_mm = (0..=12).map(|i| radius_mm * f64::from(i) / 12.0).collect();
-        let spec = TableSpec { radii_mm, wavelength_nm: vec![550.0], degree: 7 };
+        let spec = TableSpec { radii_mm, wavelength_nm: vec![550.0], degree: 7, lit: false };
         let table = Table::compute(&lens, &spec).expect("traces");
         SensorMap::fit(&lens, &table, vergence).expect("grows")
     }
@@ -352,7 +352,7 @@ mod tests {
         let (lens, vergence) = (builtin::lens("cooke_triplet").expect("shipped"), 1e-3);
         let radii_mm: Vec<f64> = (0..=12).map(|i| 1.5 * f64::from(i)).collect();
         let fitted = |lens: &Lens| {
-            let spec = TableSpec { radii_mm: radii_mm.clone(), wavelength_nm: vec![550.0], degree: 7 };
+            let spec = TableSpec { radii_mm: radii_mm.clone(), wavelength_nm: vec![550.0], degree: 7, lit: false };
             let table = Table::compute(lens, &spec).expect("traces");
             (SensorMap::fit(lens, &table, vergence).expect("grows"), table)
         };

@@ -53,6 +53,8 @@ pub struct TableSpec {
     pub wavelength_nm: Vec<f64>,
     /// Degree of the polynomials over the stop.
     pub degree: usize,
+    /// Whether they are told over the part of the stop alone through which light gets: beyond it rays of a fast lens may run wild.
+    pub lit: bool,
 }
 
 /// Places of the quantities in a row of coefficients.
@@ -173,7 +175,7 @@ impl Table {
     /// # Errors
     /// A lens without rotational symmetry; wavelengths at which its indices are not known; a sensor without light on the axis.
     pub fn compute(lens: &Lens, spec: &TableSpec) -> Result<Self> {
-        let mut tracing = Tracing::new(lens, &spec.wavelength_nm, spec.degree)?;
+        let mut tracing = Tracing::new(lens, &spec.wavelength_nm, (spec.degree, spec.lit))?;
         let colours = tracing.colours();
         Self::of(&mut tracing, &spec.radii_mm, &colours)
     }
@@ -232,6 +234,20 @@ impl Table {
             rows,
             chiefs,
         })
+    }
+
+    /// Largest distance, over knots and wavelengths, of rays with light from their polynomials over the stop, at the sensor's scale, mm (rms of a beam), for an
+    /// object at `vergence`. `views` are those of its wavelengths.
+    fn untold(&self, views: &[&SensorView], vergence: f64) -> f64 {
+        let (slopes, radii) = (self.chief_slopes(vergence), &self.spec.radii_mm);
+        let at = |k: usize| {
+            // Of the axis, that of the first knot beside it.
+            let (inner, outer) = (k.saturating_sub(1), k.max(1).min(radii.len() - 1));
+            let mm_per_slope = (radii[outer] - radii[inner]) / (slopes[outer] - slopes[inner]);
+            let of = |(beam, view): (&Arc<Beam>, &&SensorView)| beam::untold(beam, view, &self.bases, vergence);
+            self.beams[k].iter().zip(views).map(of).fold(0.0, f64::max) * mm_per_slope.abs()
+        };
+        if radii.len() < 2 { 0.0 } else { (0..radii.len()).into_par_iter().map(at).reduce(|| 0.0, f64::max) }
     }
 
     /// The same with every second knot.

@@ -15,7 +15,15 @@ fn rgb() -> Quadrature {
 
 fn spec(radius_mm: f64, vergences: Vec<f64>) -> OpticsSpec {
     let radii_mm = (0..=10).map(|i| radius_mm * f64::from(i) / 10.0).collect();
-    OpticsSpec { radii_mm, vergences, quadrature: rgb(), degree: 7, illuminations: 24, diffraction: Model::Rays }
+    OpticsSpec {
+        radii_mm,
+        vergences,
+        quadrature: rgb(),
+        degree: 7,
+        lit: false,
+        illuminations: 24,
+        diffraction: Model::Rays,
+    }
 }
 
 fn written(to: &mut [f64], bar: &[f64]) -> bool {

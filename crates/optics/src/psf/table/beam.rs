@@ -19,6 +19,10 @@ const ABOUT: u32 = 10;
 const RADII: [f64; 5] = [0.93, 0.85, 0.75, 0.6, 0.4];
 /// Parts of the stop's radius tried in turn for the unit stop: a stop may be larger than anything that comes through.
 const PUPILS: [f64; 9] = [1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05, 0.02];
+/// How far beyond the outermost lit node the part of the stop goes that is kept to light, of the unit stop: about what lies between nodes; nearer to the rim than [`CUT`] nothing
+/// is cut.
+const BESIDE: f64 = 0.15;
+const CUT: f64 = 0.95;
 /// Apertures that a ray passes nearer to its edge than this part of its radius may clip some other ray.
 const NEAR: f64 = 0.85;
 
@@ -27,11 +31,13 @@ const NEAR: f64 = 0.85;
 pub(in crate::psf) struct Bases {
     whole: Arc<StopNodes>,
     parts: Arc<Mutex<HashMap<[u64; 3], Arc<StopNodes>>>>,
+    /// Whether beams keep to the part of the stop through which light gets, and a little more.
+    lit: bool,
 }
 
 impl Bases {
-    pub(in crate::psf) fn new(degree: usize) -> Self {
-        Self { whole: Arc::new(StopNodes::new(degree, Part::WHOLE)), parts: Arc::default() }
+    pub(in crate::psf) fn new(degree: usize, lit: bool) -> Self {
+        Self { whole: Arc::new(StopNodes::new(degree, Part::WHOLE)), parts: Arc::default(), lit }
     }
 
     pub(in crate::psf) fn of(&self, part: Part) -> Arc<StopNodes> {
@@ -206,6 +212,11 @@ impl<'a> Aimed<'a> {
     }
 }
 
+/// Whether no clear aperture stops a node's ray.
+fn is_open(view: &SensorView, node: &Crossings) -> bool {
+    view.system.surfaces.iter().zip(&node.heights).all(|(s, h)| h.length_squared() <= s.semi_diameter.powi(2))
+}
+
 /// Whether a ray runs too flat over the first vertex plane.
 fn is_steep(ray: &SceneRay) -> bool {
     ray.slope.length_squared() > STEEPEST_RAY * STEEPEST_RAY
@@ -226,8 +237,12 @@ impl Beam {
             let nodes = aimed.through(&bases.of(part).nodes, near).map_err(|f| f.1)?;
             Ok(Self { radius_mm, part, pupil, nodes })
         };
+        let kept = |beam: Self| {
+            let part = if bases.lit { beam.lit(view, bases) } else { beam.part };
+            if part == beam.part { beam } else { through(part).unwrap_or(beam) }
+        };
         let failure = match through(Part::WHOLE) {
-            Ok(beam) => return Ok(beam),
+            Ok(beam) => return Ok(kept(beam)),
             Err(f) => f,
         };
         // As high, and as low, as what lies beyond the centre gets through: what fails is one end of the beam, mostly. Other wavelengths get
@@ -242,7 +257,17 @@ impl Beam {
         let caps = fewer.into_iter().find_map(|part| through(part).ok());
         let enough = caps.as_ref().map_or(0.0, |c| c.part.share());
         let disk = RADII.iter().filter(|r| r.powi(2) > enough).find_map(|r| through(Part::disk(*r)).ok());
-        disk.or(caps).ok_or(failure)
+        disk.or(caps).map(kept).ok_or(failure)
+    }
+
+    /// The part of the stop between caps that has all nodes through which light gets, and [`BESIDE`] as much more as neighbours and wavelengths may see.
+    fn lit(&self, view: &SensorView, bases: &Bases) -> Part {
+        let places = &bases.of(self.part).nodes;
+        let open = self.nodes.iter().zip(places).filter(|(node, _)| is_open(view, node)).map(|(_, at)| at.y);
+        let [low, high] = open.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], y| [low.min(y), high.max(y)]);
+        let (low, high) = ((low - BESIDE).min(-BESIDE), (high + BESIDE).max(BESIDE));
+        let end = |at: f64| if at.abs() < CUT { at } else { at.signum() };
+        self.part.common(Part::between([end(low), end(high)]))
     }
 
     /// Values at the nodes.
@@ -392,6 +417,26 @@ pub(super) fn residual(beam: &Beam, row: &Row, bases: &Bases, layout: &Layout) -
     let (low, high) = values.iter().fold((f64::MAX, f64::MIN), |(a, b), v| (a.min(*v), b.max(*v)));
     let worst = fitted.iter().zip(&values).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     if high > low { worst / (high - low) } else { 0.0 }
+}
+
+/// Root mean square distance of the object slopes (at `vergence`) of a beam's rays from their polynomials, over the nodes through which light gets, by its étendue; 0 where
+/// none does.
+pub(super) fn untold(beam: &Beam, view: &SensorView, bases: &Bases, vergence: f64) -> f64 {
+    let basis = &*bases.of(beam.part);
+    let [even, odd] = &basis.coefficients;
+    let [at_even, at_odd] = &basis.at_nodes;
+    let across = beam.values(|n| n.ray.slope.x - vergence * n.ray.entrance.x);
+    let along = beam.values(|n| n.ray.slope.y - vergence * n.ray.entrance.y);
+    let [x, y] = [at_odd.at(Of::Value, &apply(odd, &across)), at_even.at(Of::Value, &apply(even, &along))];
+    let weights = beam.etendue(view, basis);
+    let (mut square, mut sum) = (0.0, 0.0);
+    for (j, node) in beam.nodes.iter().enumerate() {
+        if is_open(view, node) && weights[j] > 0.0 {
+            square += weights[j] * ((x[j] - across[j]).powi(2) + (y[j] - along[j]).powi(2));
+            sum += weights[j];
+        }
+    }
+    if sum > 0.0 { (square / sum).sqrt() } else { 0.0 }
 }
 
 /// The chief ray of one sensor point at the reference wavelength.

@@ -8,8 +8,12 @@ use super::super::stop::StopPoints;
 use super::tracing::Tracing;
 use super::{Row, Table};
 use crate::lens::Lens;
+use crate::trace::aim::SensorView;
 use isoplanat_base::error::Result;
+use isoplanat_base::figures::significant;
 
+/// Degrees over the stop that are tried where one does not tell rays.
+const DEGREES: [usize; 4] = [9, 12, 15, 18];
 /// Intervals at first, and at most.
 const INTERVALS: [u32; 2] = [6, 96];
 /// Halving the intervals makes the error of six-point interpolation so many times smaller, at least.
@@ -37,6 +41,23 @@ pub struct Tolerance {
     pub weight: f64,
 }
 
+/// Pixels that rays may be off by without a word.
+const TOLD_PX: f64 = 0.1;
+
+impl Tolerance {
+    /// A sentence where rays are told worse than to a tenth of a pixel of `pitch_mm` somewhere: polynomials over the stop do not follow light that runs next to rays that fail.
+    pub fn untold(&self, pitch_mm: f64) -> Option<String> {
+        let px = self.landing_mm / pitch_mm;
+        (px > TOLD_PX).then(|| {
+            let px = significant(px, 2);
+            format!(
+                "where the field is worst, rays are told to {px} pixel only (rms of a beam): kernels and pictures are off there by more than is predicted; \
+                 rays from the sensor are not (`isoplanat render --method monte-carlo`)"
+            )
+        })
+    }
+}
+
 /// A table of even knots from the axis to a radius that hold a tolerance.
 #[derive(Clone, Debug)]
 pub struct Adapted {
@@ -44,12 +65,13 @@ pub struct Adapted {
     pub table: Table,
     /// Its knots, mm, and where light ends before the radius does, that radius too.
     pub radii_mm: Vec<f64>,
-    /// Its errors (in the tolerance's own terms): what every second knot misses at the others, over what halving wins.
+    /// Its errors (in the tolerance's own terms): what every second knot misses at the others, over what halving wins; what polynomials over the stop miss of rays with light.
     pub errors: Tolerance,
 }
 
 impl Adapted {
-    /// Of `lens` for objects at `vergence`. Knots are chosen by the ends of the spectrum; what was traced to choose them serves the table.
+    /// Of `lens` for objects at `vergence`. Knots are chosen by the ends of the spectrum; what was traced to choose them serves the table. Where polynomials of `degree` over the
+    /// whole stop do not tell rays within the tolerance, they are told over its lit part, then by higher degrees.
     ///
     /// # Errors
     /// As [`Table::compute`]; a picture that is folded from the axis on.
@@ -61,10 +83,39 @@ impl Adapted {
         radius_mm: f64,
         tolerance: Tolerance,
     ) -> Result<Self> {
-        let mut tracing = Tracing::new(lens, wavelength_nm, degree)?;
+        let mut best = Self::at(lens, vergence, wavelength_nm, (degree, false), radius_mm, tolerance)?;
+        let finer = DEGREES.into_iter().filter(|d| *d > degree);
+        for degree in [degree].into_iter().chain(finer) {
+            if best.errors.landing_mm <= tolerance.landing_mm {
+                break;
+            }
+            // What fails as it becomes finer leaves what there is.
+            let Ok(tried) = Self::at(lens, vergence, wavelength_nm, (degree, true), radius_mm, tolerance) else {
+                break;
+            };
+            if tried.errors.landing_mm < best.errors.landing_mm {
+                best = tried;
+            }
+        }
+        Ok(best)
+    }
+
+    /// By polynomials of one degree, over the lit part of the stop alone where that is asked for.
+    fn at(
+        lens: &Lens,
+        vergence: f64,
+        wavelength_nm: &[f64],
+        (degree, lit): (usize, bool),
+        radius_mm: f64,
+        tolerance: Tolerance,
+    ) -> Result<Self> {
+        let mut tracing = Tracing::new(lens, wavelength_nm, (degree, lit))?;
         let (radii_mm, errors) = knots(&mut tracing, vergence, degree, radius_mm, tolerance)?;
         let colours = tracing.colours();
-        Ok(Self { table: Table::of(&mut tracing, &radii_mm, &colours)?, radii_mm, errors })
+        let table = Table::of(&mut tracing, &radii_mm, &colours)?;
+        let views: Vec<&SensorView> = tracing.views.iter().collect();
+        let landing_mm = errors.landing_mm.max(table.untold(&views, vergence));
+        Ok(Self { table, radii_mm, errors: Tolerance { landing_mm, ..errors } })
     }
 }
 

@@ -34,6 +34,7 @@ pub(super) struct Tracing<'a> {
     pub(super) pupil: f64,
     wavelength_nm: Vec<f64>,
     degree: usize,
+    lit: bool,
     reference: SensorView,
     /// By the bits of the radius.
     looked: HashMap<u64, Looked>,
@@ -44,15 +45,15 @@ impl<'a> Tracing<'a> {
     ///
     /// # Errors
     /// As [`super::Table::compute`].
-    pub(super) fn new(lens: &'a Lens, wavelength_nm: &[f64], degree: usize) -> Result<Self> {
+    pub(super) fn new(lens: &'a Lens, wavelength_nm: &[f64], (degree, lit): (usize, bool)) -> Result<Self> {
         lens.require_symmetry("a table of sensor radii")?;
         wavelength_nm.iter().try_for_each(|nm| lens.require_indices(*nm, lens.file()))?;
         let views = views(lens, wavelength_nm);
         let reference = SensorView::new(&System::new(lens, lens.wavelengths.primary_nm));
-        let bases = Bases::new(degree);
+        let bases = Bases::new(degree, lit);
         let pupil = beam::pupil(&views, &bases).map_err(|f| failed(lens, 0.0, f))?;
         let wavelength_nm = wavelength_nm.to_vec();
-        Ok(Self { lens, views, bases, pupil, wavelength_nm, degree, reference, looked: HashMap::new() })
+        Ok(Self { lens, views, bases, pupil, wavelength_nm, degree, lit, reference, looked: HashMap::new() })
     }
 
     /// Every wavelength's number.
@@ -62,7 +63,7 @@ impl<'a> Tracing<'a> {
 
     pub(super) fn spec(&self, radii_mm: &[f64], colours: &[usize]) -> TableSpec {
         let wavelength_nm = colours.iter().map(|l| self.wavelength_nm[*l]).collect();
-        TableSpec { radii_mm: radii_mm.to_vec(), wavelength_nm, degree: self.degree }
+        TableSpec { radii_mm: radii_mm.to_vec(), wavelength_nm, degree: self.degree, lit: self.lit }
     }
 
     /// Object slope of the chief ray of a sensor radius, for an object at `vergence`; `None` where there is none.

@@ -45,7 +45,7 @@ pub(super) struct Shared {
 
 impl Shared {
     pub(super) fn new(lens: &Lens, views: &[SensorView], degree: usize) -> Result<Self> {
-        let bases = Bases::new(degree);
+        let bases = Bases::new(degree, false);
         let pupil = beam::pupil(views, &bases).map_err(|f| super::super::table::failed(lens, 0.0, f))?;
         let entrance = first_order(lens, lens.wavelengths.primary_nm).entrance_pupil_position;
         Ok(Self { bases, pupil, entrance })
