@@ -14,7 +14,7 @@ use isoplanat::report::table::value;
 use isoplanat::{Lens, Result};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use crate::arrays::given;
 use crate::errors::{raised, refused};

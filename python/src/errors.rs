@@ -32,7 +32,12 @@ pub(crate) fn raised(error: Error) -> PyErr {
 
 /// A message without the flags of a command line that there is not.
 fn in_python(text: &str) -> String {
-    let words = [(" (--memory-gib)", ""), ("--force", "force=True"), ("--depth-mm", "distances_mm")];
+    let words = [
+        (" (--memory-gib)", ""),
+        ("--force", "force=True"),
+        ("--depth-mm", "distances_mm"),
+        ("--glass FILE", "glasses=[FILE]"),
+    ];
     let text = words.iter().fold(text.to_owned(), |text, (flag, words)| text.replace(flag, words));
     // Other flags have the arguments' names: `--texels-per-pixel` is texels_per_pixel.
     let mut parts = text.split("--");

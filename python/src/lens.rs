@@ -1,5 +1,6 @@
 //! `Lens`: a checked prescription, read, not written.
 
+use std::collections::BTreeMap;
 use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -34,6 +35,8 @@ use crate::work::{here, work};
 ///     A lens file (.toml, .zmx, .seq, .json of DeepLens or Optiland, .txt of DiffOptics), or the name of a shipped lens (`isoplanat.lenses()`).
 /// glasses : sequence of str or os.PathLike, optional
 ///     Glass catalogues (.agf, .glc, pages of refractiveindex.info) beside the shipped one, and beside those that ISOPLANAT_GLASSES names.
+/// glass_for : dict of str, optional
+///     Glasses to take where the file names others: `{"SSK4": "SSK4A"}`; `"model"` takes the index and Abbe number of the line that names it. A name that no surface has is refused.
 ///
 /// Raises FileNotFoundError, ValueError with file, place, what was found and what is allowed. What a file leaves open is in `notes`.
 #[pyclass(frozen, eq, module = "isoplanat")]
@@ -92,10 +95,20 @@ pub(crate) fn at(lens: &isoplanat::Lens, distance_mm: Option<f64>) -> PyResult<i
 #[pymethods]
 impl Lens {
     #[new]
-    #[pyo3(signature = (file, *, glasses = Vec::new()))]
-    fn new(py: Python<'_>, file: PathBuf, glasses: Vec<PathBuf>) -> PyResult<Self> {
+    #[pyo3(signature = (file, *, glasses = Vec::new(), glass_for = BTreeMap::new()))]
+    fn new(
+        py: Python<'_>,
+        file: PathBuf,
+        glasses: Vec<PathBuf>,
+        glass_for: BTreeMap<String, String>,
+    ) -> PyResult<Self> {
         work(py, || {
-            let read = lens_or_file(&file, &self::glasses(&glasses)?, Default::default())?;
+            let mut all = self::glasses(&glasses)?;
+            let instead =
+                |(name, glass): (&String, &String)| all.take_instead(name, glass).map_err(|e| e.of_file("glass_for"));
+            glass_for.iter().try_for_each(instead)?;
+            let read = lens_or_file(&file, &all, Default::default())?;
+            all.all_taken().map_err(|e| e.of_file("glass_for"))?;
             let mut notes = read.notes;
             notes.extend(overlapping_rims(&read.lens, &file.display().to_string()));
             Ok(Self { inner: Arc::new(read.lens), notes })

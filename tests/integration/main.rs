@@ -25,6 +25,7 @@ mod documents;
 mod examples;
 mod extremes;
 #[cfg(all(target_os = "linux", feature = "train", feature = "deploy"))]
+mod fast_lenses;
 mod faults;
 mod from_scratch;
 #[cfg(all(feature = "train", feature = "deploy"))]
