@@ -83,24 +83,25 @@ impl Adapted {
         radius_mm: f64,
         tolerance: Tolerance,
     ) -> Result<Self> {
-        let mut best = Self::at(lens, vergence, wavelength_nm, (degree, false), radius_mm, tolerance)?;
+        let (mut best, mut untold) = Self::at(lens, vergence, wavelength_nm, (degree, false), radius_mm, tolerance)?;
         let finer = DEGREES.into_iter().filter(|d| *d > degree);
         for degree in [degree].into_iter().chain(finer) {
-            if best.errors.landing_mm <= tolerance.landing_mm {
+            // What lies between knots is not told by higher degrees.
+            if untold <= tolerance.landing_mm {
                 break;
             }
             // What fails as it becomes finer leaves what there is.
             let Ok(tried) = Self::at(lens, vergence, wavelength_nm, (degree, true), radius_mm, tolerance) else {
                 break;
             };
-            if tried.errors.landing_mm < best.errors.landing_mm {
-                best = tried;
+            if tried.0.errors.landing_mm < best.errors.landing_mm {
+                (best, untold) = tried;
             }
         }
         Ok(best)
     }
 
-    /// By polynomials of one degree, over the lit part of the stop alone where that is asked for.
+    /// By polynomials of one degree, over the lit part of the stop alone where that is asked for; and what they miss of rays with light, mm.
     fn at(
         lens: &Lens,
         vergence: f64,
@@ -108,14 +109,15 @@ impl Adapted {
         (degree, lit): (usize, bool),
         radius_mm: f64,
         tolerance: Tolerance,
-    ) -> Result<Self> {
+    ) -> Result<(Self, f64)> {
         let mut tracing = Tracing::new(lens, wavelength_nm, (degree, lit))?;
         let (radii_mm, errors) = knots(&mut tracing, vergence, degree, radius_mm, tolerance)?;
         let colours = tracing.colours();
         let table = Table::of(&mut tracing, &radii_mm, &colours)?;
         let views: Vec<&SensorView> = tracing.views.iter().collect();
-        let landing_mm = errors.landing_mm.max(table.untold(&views, vergence));
-        Ok(Self { table, radii_mm, errors: Tolerance { landing_mm, ..errors } })
+        let untold = table.untold(&views, vergence);
+        let landing_mm = errors.landing_mm.max(untold);
+        Ok((Self { table, radii_mm, errors: Tolerance { landing_mm, ..errors } }, untold))
     }
 }
 
