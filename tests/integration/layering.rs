@@ -269,10 +269,8 @@ fn every_adjoint_has_a_test_that_names_it() {
         let beside = sources.get(&file.replace(".rs", "/tests.rs")).map_or("", String::as_str);
         let own_tests = format!("{own_tests}{beside}");
         for line in body.lines() {
-            let Some((visible, rest)) = line.trim().split_once("fn ") else { continue };
-            if !visible.starts_with("pub") {
-                continue;
-            }
+            let line = line.trim().replacen("pub(crate) fn ", "pub fn ", 1);
+            let Some((_, rest)) = line.split_once("pub fn ") else { continue };
             let name: String = rest.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();
             let call = if name == "vjp" { ".vjp(".to_owned() } else { format!("{name}(") };
             let generic = call.replace('(', "::<");
