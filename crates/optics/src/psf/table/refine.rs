@@ -6,12 +6,14 @@ use super::super::fit::Of;
 use super::super::sensor_map::SensorMap;
 use super::super::stop::StopPoints;
 use super::tracing::Tracing;
-use super::{Row, Table};
+use super::{Row, Table, TableSpec, views};
 use crate::lens::Lens;
 use crate::trace::aim::SensorView;
 use isoplanat_base::error::Result;
 use isoplanat_base::figures::significant;
 
+/// Knots at which degrees are tried, at most.
+const LOOKED_AT: usize = 13;
 /// Degrees over the stop that are tried where one does not tell rays.
 const DEGREES: [usize; 4] = [9, 12, 15, 18];
 /// Intervals at first, and at most.
@@ -83,22 +85,35 @@ impl Adapted {
         radius_mm: f64,
         tolerance: Tolerance,
     ) -> Result<Self> {
-        let (mut best, mut untold) = Self::at(lens, vergence, wavelength_nm, (degree, false), radius_mm, tolerance)?;
-        let finer = DEGREES.into_iter().filter(|d| *d > degree);
-        for degree in [degree].into_iter().chain(finer) {
-            // What lies between knots is not told by higher degrees.
-            if untold <= tolerance.landing_mm {
-                break;
-            }
+        let (first, untold) = Self::at(lens, vergence, wavelength_nm, (degree, false), radius_mm, tolerance)?;
+        // What lies between knots is not told by higher degrees.
+        if untold <= tolerance.landing_mm {
+            return Ok(first);
+        }
+        let few = first.table.spec.radii_mm.len().div_ceil(LOOKED_AT);
+        let mut radii_mm: Vec<f64> = first.table.spec.radii_mm.iter().rev().step_by(few).rev().copied().collect();
+        if radii_mm.first() != Some(&0.0) {
+            radii_mm.insert(0, 0.0);
+        }
+        let ends: Vec<f64> = wavelength_nm.iter().take(1).chain(wavelength_nm.iter().skip(1).last()).copied().collect();
+        let mut found: Option<(f64, usize)> = None;
+        for degree in [degree].into_iter().chain(DEGREES.into_iter().filter(|d| *d > degree)) {
+            let spec = TableSpec { radii_mm: radii_mm.clone(), wavelength_nm: ends.clone(), degree, lit: true };
             // What fails as it becomes finer leaves what there is.
-            let Ok(tried) = Self::at(lens, vergence, wavelength_nm, (degree, true), radius_mm, tolerance) else {
+            let Ok(table) = Table::compute(lens, &spec) else { break };
+            let views = views(lens, &ends);
+            let left = table.untold(&views.iter().collect::<Vec<_>>(), vergence);
+            if found.is_none_or(|(least, _)| left < least) {
+                found = Some((left, degree));
+            }
+            if left <= tolerance.landing_mm {
                 break;
-            };
-            if tried.0.errors.landing_mm < best.errors.landing_mm {
-                (best, untold) = tried;
             }
         }
-        Ok(best)
+        let finer = found
+            .and_then(|(_, degree)| Self::at(lens, vergence, wavelength_nm, (degree, true), radius_mm, tolerance).ok());
+        let better = finer.filter(|(tried, _)| tried.errors.landing_mm < first.errors.landing_mm);
+        Ok(better.map_or(first, |(tried, _)| tried))
     }
 
     /// By polynomials of one degree, over the lit part of the stop alone where that is asked for; and what they miss of rays with light, mm.
