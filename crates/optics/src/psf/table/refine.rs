@@ -12,6 +12,8 @@ use crate::trace::aim::SensorView;
 use isoplanat_base::error::Result;
 use isoplanat_base::figures::significant;
 
+/// Crossings of surfaces, a wavelength, of a table from which on no other is tried: some seconds.
+const MOST_CROSSINGS: usize = 110_000;
 /// Knots at which degrees are tried, at most.
 const LOOKED_AT: usize = 13;
 /// Degrees over the stop that are tried where one does not tell rays.
@@ -86,8 +88,9 @@ impl Adapted {
         tolerance: Tolerance,
     ) -> Result<Self> {
         let (first, untold) = Self::at(lens, vergence, wavelength_nm, (degree, false), radius_mm, tolerance)?;
-        // What lies between knots is not told by higher degrees.
-        if untold <= tolerance.landing_mm {
+        // What lies between knots is not told by higher degrees; a table that took long already is left as it is, and its errors say so.
+        let crossings = first.table.rays * lens.surfaces.len() / wavelength_nm.len().max(1);
+        if untold <= tolerance.landing_mm || crossings > MOST_CROSSINGS {
             return Ok(first);
         }
         let few = first.table.spec.radii_mm.len().div_ceil(LOOKED_AT);
