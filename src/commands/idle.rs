@@ -19,10 +19,11 @@ struct Idle {
     promise: bool,
 }
 
-const ALL: [Idle; 10] = [
+const ALL: [Idle; 11] = [
     Idle { option: "max_cycles_per_mm", ..OF_CHIEF_RAYS },
     Idle { option: "shift_mm", ..OF_CHIEF_RAYS },
     Idle { option: "rays", ..OF_CHIEF_RAYS },
+    Idle { option: "fields_deg", ..OF_CHIEF_RAYS },
     Idle {
         command: "render",
         option: "samples",

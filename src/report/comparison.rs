@@ -139,22 +139,22 @@ fn paired(first: &Evaluation, other: &Evaluation) -> Option<f64> {
 
 /// All rows, for machines.
 #[derive(Serialize)]
-struct Everything {
-    title: String,
-    settings: BTreeMap<String, String>,
-    rows: Vec<EntrantRow>,
+struct Everything<'a> {
+    title: &'a str,
+    settings: BTreeMap<&'a str, &'a str>,
+    rows: Vec<EntrantRow<'a>>,
 }
 
 #[derive(Serialize)]
-struct EntrantRow {
-    lens: String,
-    network: String,
-    notes: Vec<String>,
+struct EntrantRow<'a> {
+    lens: &'a str,
+    network: &'a str,
+    notes: &'a [String],
     overall: Option<Overall>,
     first_ahead: Option<Margin>,
-    edges: Vec<EdgesAt>,
-    evaluation: Option<Evaluation>,
-    refused: Option<String>,
+    edges: &'a [EdgesAt],
+    evaluation: Option<&'a Evaluation>,
+    refused: Option<&'a str>,
 }
 
 impl Comparison {
@@ -240,22 +240,16 @@ impl Comparison {
 
     /// Everything, for machines.
     pub fn json(&self) -> Value {
-        let row = |(k, e): (usize, &Entrant)| {
-            let evaluation = e.outcome.as_ref().ok().cloned();
-            EntrantRow {
-                lens: e.name.clone(),
-                network: e.network.clone(),
-                notes: e.notes.clone(),
-                overall: evaluation.as_ref().and_then(Overall::of),
-                first_ahead: self.margin(k),
-                edges: e.edges.clone(),
-                evaluation,
-                refused: e.outcome.as_ref().err().cloned(),
-            }
+        let row = |(k, e)| {
+            let Entrant { name, network, notes, edges, outcome, .. }: &Entrant = e;
+            let evaluation = outcome.as_ref().ok();
+            let (overall, first_ahead) = (evaluation.and_then(Overall::of), self.margin(k));
+            let refused = outcome.as_ref().err().map(String::as_str);
+            EntrantRow { lens: name, network, notes, overall, first_ahead, edges, evaluation, refused }
         };
         numbered(&Everything {
-            title: self.title.clone(),
-            settings: self.settings.iter().map(|[k, v]| (k.clone(), v.clone())).collect(),
+            title: &self.title,
+            settings: self.settings.iter().map(|[k, v]| (k.as_str(), v.as_str())).collect(),
             rows: self.entrants.iter().enumerate().map(row).collect(),
         })
     }

@@ -176,33 +176,59 @@ fn middle<const N: usize>(points: &[[f64; N]]) -> f64 {
 /// What one picture of an edge shows, for machines; or why it shows nothing.
 #[derive(Serialize)]
 #[serde(untagged)]
-enum EdgeRow {
+enum EdgeRow<'a> {
     Measured {
         mtf50_cy_per_px: Option<f64>,
         edge_normal_deg: f64,
-        warnings: Vec<String>,
+        warnings: &'a [String],
         mtf_cy_per_mm_value_uncertainty: Vec<[f64; 3]>,
     },
     Refused {
-        error: String,
+        error: &'a str,
     },
 }
 
 /// One direction at one place.
 #[derive(Serialize)]
-struct DirectionRow {
+struct DirectionRow<'a> {
     direction: &'static str,
-    design_cy_per_mm_value: Vec<[f64; 2]>,
-    capture: EdgeRow,
-    reconstruction: Option<EdgeRow>,
+    design_cy_per_mm_value: &'a [[f64; 2]],
+    capture: EdgeRow<'a>,
+    reconstruction: Option<EdgeRow<'a>>,
 }
 
 /// One place of the field.
 #[derive(Serialize)]
-struct PlaceRow {
+struct PlaceRow<'a> {
     height_mm: f64,
     side_px: usize,
-    edges: Vec<DirectionRow>,
+    edges: Vec<DirectionRow<'a>>,
+}
+
+impl<'a> EdgeRow<'a> {
+    fn new(p: &EdgePlace, found: &'a Result<EdgeMeasurement, String>, pitch_mm: f64) -> Self {
+        match found {
+            Ok(e) => Self::Measured {
+                mtf50_cy_per_px: e.mtf50.map(|c| c.frequency),
+                edge_normal_deg: e.normal_deg,
+                warnings: &e.warnings,
+                mtf_cy_per_mm_value_uncertainty: curve(e, p.texels, pitch_mm),
+            },
+            Err(error) => Self::Refused { error },
+        }
+    }
+}
+
+impl<'a> PlaceRow<'a> {
+    fn new(p: &'a EdgePlace, pitch_mm: f64) -> Self {
+        let edge = |(k, e): (usize, &'a Edge)| DirectionRow {
+            direction: NAMES[k],
+            design_cy_per_mm_value: &e.design,
+            capture: EdgeRow::new(p, &e.capture, pitch_mm),
+            reconstruction: e.reconstruction.as_ref().map(|r| EdgeRow::new(p, r, pitch_mm)),
+        };
+        Self { height_mm: p.height_mm, side_px: p.side, edges: p.edges.iter().enumerate().map(edge).collect() }
+    }
 }
 
 impl Measured {
@@ -321,32 +347,13 @@ impl Measured {
 
     /// As JSON: by place and direction the design, and what was measured with its uncertainty.
     pub fn json(&self) -> Value {
-        let measured = |p: &EdgePlace, found: &Result<EdgeMeasurement, String>| match found {
-            Ok(e) => EdgeRow::Measured {
-                mtf50_cy_per_px: e.mtf50.map(|c| c.frequency),
-                edge_normal_deg: e.normal_deg,
-                warnings: e.warnings.clone(),
-                mtf_cy_per_mm_value_uncertainty: curve(e, p.texels, self.pitch_mm),
-            },
-            Err(why) => EdgeRow::Refused { error: why.clone() },
-        };
-        let edge = |p: &EdgePlace, (k, e): (usize, &Edge)| DirectionRow {
-            direction: NAMES[k],
-            design_cy_per_mm_value: e.design.clone(),
-            capture: measured(p, &e.capture),
-            reconstruction: e.reconstruction.as_ref().map(|r| measured(p, r)),
-        };
-        let place = |p: &EdgePlace| PlaceRow {
-            height_mm: p.height_mm,
-            side_px: p.side,
-            edges: p.edges.iter().enumerate().map(|e| edge(p, e)).collect(),
-        };
+        let rows = |p| PlaceRow::new(p, self.pitch_mm);
         json!({
             "rays_per_pixel": self.settings.rays,
             "seed": self.settings.seed,
             "worst_capture_less_design": self.worst(),
             "reconstruction_by": (!self.by.is_empty()).then_some(&self.by),
-            "places": self.places.iter().map(place).collect::<Vec<_>>(),
+            "places": self.places.iter().map(rows).collect::<Vec<_>>(),
             "failed": self.failed,
             "seconds": self.seconds,
         })

@@ -58,6 +58,9 @@ impl Asked {
         fields_deg
             .iter()
             .try_for_each(|f| within("fields_deg", Some(*f), 0.0..=120.0, "0 to 120 degrees").map(|_| ()))?;
+        if let (Some(found), false) = (max_angle_deg, fields_deg.is_empty()) {
+            return Err(Refused { name: "max_angle_deg", found, allowed: "either it or fields_deg" });
+        }
         fields_deg.sort_by(f64::total_cmp);
         fields_deg.dedup();
         #[expect(clippy::cast_precision_loss, reason = "a count that is refused where it is large")]
@@ -124,7 +127,8 @@ impl Analysis {
     /// Looks at `lens`. Spots need no maps and no MTF by diffraction, distortion chief rays alone: the rest is left out.
     pub fn of(self, lens: &Lens, options: &Options) -> Found {
         let (whole, energy, spots) = (self == Self::Mtf, self == Self::Spot, self != Self::Distortion);
-        let (overview, missing) = look(lens, &Options { spots, whole, energy, ..options.clone() });
+        let fields_deg = if spots { options.fields_deg.clone() } else { Vec::new() };
+        let (overview, missing) = look(lens, &Options { fields_deg, spots, whole, energy, ..options.clone() });
         let curves = plots(&overview).into_iter().filter(|(name, _)| self.shows(name)).collect();
         Found { overview, curves, missing }
     }

@@ -27,8 +27,7 @@ pub(super) fn on_axis(draft: &Draft, stages: &mut [Stage], glasses: &Glasses) ->
     let mut angle = if draft.object_mm.is_finite() { before / draft.object_mm } else { 0.0 };
     for stage in stages {
         let Ok(behind) = index(&stage.medium) else { break };
-        let curvature = stage.shape.curvature + 2.0 * stage.shape.asphere.first().copied().unwrap_or(0.0);
-        angle -= height * stage.shape.ideal.map_or(curvature * (behind - before), f64::recip);
+        angle -= height * stage.shape.power(before, behind);
         let image = Some(-height * behind / angle).filter(|d| d.is_finite());
         found.push(OnAxis { height, image });
         if let (Some(beyond), Some(distance)) = (stage.solved, image) {

@@ -416,5 +416,5 @@ fn model_glasses_come_back_from_tables() {
         }
     });
     let why = text_of(&bent.expect("a lens"), Form::Zmx, Glasses::shipped()).expect_err("a table").to_string();
-    assert!(why.contains("--glass-for"), "{why}");
+    assert!(why.contains("surface[0].medium") && why.contains("{ n_d, v_d }, as its `medium` in a .toml"), "{why}");
 }

@@ -111,22 +111,20 @@ fn micrometres(nm: f64) -> String {
 /// The line of the medium of a space, counted as [`crate::lens::Prescription::media`] does; nothing of air.
 fn glass(lens: &Lens, space: usize, glasses: &Glasses, catalogues: &mut Vec<String>) -> Result<String> {
     let Some(medium) = lens.media().nth(space) else { return Ok(String::new()) };
+    let of_two = if matches!(medium, Medium::Cauchy { .. }) { Some(lines_of(medium)) } else { lines_of_table(medium) };
     Ok(match medium {
         Medium::Air => String::new(),
-        Medium::Cauchy { .. } => {
-            let (n, v) = lines_of(medium);
-            format!("  GLAS ___BLANK 1 0 {} {} 0 0 0 0 0 0\n", plain(n), plain(v))
-        }
         // One index for all wavelengths.
         Medium::Table { index, .. } if index.iter().all(|n| *n == index[0]) => {
             format!("  GLAS ___BLANK 1 0 {} 0 0 0 0 0 0 0\n", plain(index[0]))
         }
         medium => {
-            if let Some((n, v)) = lines_of_table(medium) {
+            if let Some((n, v)) = of_two {
                 return Ok(format!("  GLAS ___BLANK 1 0 {} {} 0 0 0 0 0 0\n", plain(n), plain(v)));
             }
             let Some((catalogue, name)) = glasses.named_as(medium) else {
-                let allowed = "a glass of a catalogue, or { n_d, v_d }: a Zemax file has no tables (--glass-for NAME=GLASS puts a catalogue's in its place)";
+                let allowed =
+                    "a glass of a catalogue, or { n_d, v_d }, as its `medium` in a .toml: a Zemax file has no tables";
                 return Err(Error::bad(lens.file(), place_of_medium(space), medium.to_string(), allowed));
             };
             let (n, v) = lines_of(medium);

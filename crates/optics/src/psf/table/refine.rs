@@ -98,7 +98,7 @@ impl Adapted {
         if radii_mm.first() != Some(&0.0) {
             radii_mm.insert(0, 0.0);
         }
-        let ends: Vec<f64> = wavelength_nm.iter().take(1).chain(wavelength_nm.iter().skip(1).last()).copied().collect();
+        let ends = ends(wavelength_nm);
         let mut found: Option<(f64, usize)> = None;
         for degree in [degree].into_iter().chain(DEGREES.into_iter().filter(|d| *d > degree)) {
             let spec = TableSpec { radii_mm: radii_mm.clone(), wavelength_nm: ends.clone(), degree, lit: true };
@@ -139,6 +139,14 @@ impl Adapted {
     }
 }
 
+/// The ends of the spectrum, which tell how fine a table is to be.
+fn ends<T: Copy>(all: &[T]) -> Vec<T> {
+    match *all {
+        [first, .., last] => vec![first, last],
+        _ => all.to_vec(),
+    }
+}
+
 fn knots(
     tracing: &mut Tracing<'_>,
     vergence: f64,
@@ -146,11 +154,7 @@ fn knots(
     radius_mm: f64,
     tolerance: Tolerance,
 ) -> Result<(Vec<f64>, Tolerance)> {
-    // The ends of the spectrum tell.
-    let ends = match tracing.colours()[..] {
-        [first, .., last] => vec![first, last],
-        ref few => few.to_vec(),
-    };
+    let ends = ends(&tracing.colours());
     let points = StopPoints::new(degree, POINTS);
     if tracing.chief_slope(STEP * radius_mm, vergence).is_some_and(|slope| slope <= 0.0) {
         return Err(SensorMap::folds(tracing.lens, 0.0, vergence));
