@@ -24,8 +24,8 @@ mod diffraction;
 mod documents;
 mod examples;
 mod extremes;
-#[cfg(all(target_os = "linux", feature = "train", feature = "deploy"))]
 mod fast_lenses;
+#[cfg(all(target_os = "linux", feature = "train", feature = "deploy"))]
 mod faults;
 mod from_scratch;
 #[cfg(all(feature = "train", feature = "deploy"))]
