@@ -125,7 +125,8 @@ def test_what_does_not_move_stays():
     steps.step()
     assert not steps.last.moved and steps.last.held_by == ["no gradient"]
     assert step(0.0).held_by == ["no gradient"]
-    assert step(float("nan")).held_by == ["a gradient that is not finite"]
+    with pytest.warns(UserWarning, match="3 steps in a row moved nothing: a gradient that is not finite"):
+        assert step(float("nan")).held_by == ["a gradient that is not finite"]
     steps.param_groups[0]["lr"] = 0.0
     assert step().held_by == ["no rate"] and torch.equal(layer.numbers["thickness"], now)
     steps.param_groups[0]["lr"] = 1e-3

@@ -26,7 +26,7 @@ pub(crate) struct View {
     /// Largest field angle, degrees [default: where sensor, stated field or light end]
     #[arg(long, allow_negative_numbers = true, value_name = "DEG")]
     max_angle_deg: Option<f64>,
-    /// Field angles, degrees, with commas between [default: five from the axis to the largest]
+    /// Field angles, degrees, with commas between [default: three to twelve that the file states, or five from the axis to the largest]
     #[arg(long, value_name = "DEG,DEG", value_delimiter = ',', conflicts_with = "max_angle_deg")]
     fields_deg: Vec<f64>,
     /// Highest frequency of the MTF, cycles/mm [default: the sensor's Nyquist frequency]
@@ -124,7 +124,7 @@ pub(crate) fn run(analysis: Analysis, args: &Args, out: &mut dyn Write) -> anyho
         writeln!(out, "{}", numbered(&Figures { name: &lens.name, shown: found.shown() }))?;
         return Ok(());
     }
-    found.missing.iter().for_each(|m| crate::tell!("note: {}: {m}", lens.file()));
+    found.missing.iter().for_each(|m| crate::aside!("note: {}: {m}", lens.file()));
     let o = &found.overview;
     if analysis == Analysis::Mtf {
         writeln!(out, "MTF of rays, on the sensor; T tangential, S sagittal")?;

@@ -166,7 +166,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let asked = isoplanat_program::signals::asked();
     let mut outcomes = Vec::new();
     for (k, camera) in cameras.iter().enumerate() {
-        crate::tell!("{} of {}: {}", k + 1, cameras.len(), camera.label());
+        crate::aside!("{} of {}: {}", k + 1, cameras.len(), camera.label());
         let outcome =
             camera.compared(args, &pictures, &asked).and_then(|found| Ok((found, camera.edges(args, &asked)?)));
         if let Err(Error::Interrupted) = outcome {
@@ -532,7 +532,7 @@ fn best_rate(task: &Task, rates: &[f64], folder: &Path, asked: &dyn Fn() -> bool
         let last = ((losses.len() as f64 * LAST) as usize).max(1).min(losses.len());
         #[expect(clippy::cast_precision_loss, reason = "a number of steps")]
         let mean = losses[losses.len() - last..].iter().sum::<f64>() / last as f64;
-        crate::tell!(
+        crate::aside!(
             "rate {}: loss {}{}",
             significant(*rate, 3),
             significant(mean, 4),

@@ -45,7 +45,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         return Ok(());
     }
     for note in notes {
-        crate::tell!("note: {output}: {note}");
+        crate::aside!("note: {output}: {note}");
     }
     writeln!(out, "{output}: {} surfaces", lens.surfaces.len())?;
     Ok(())

@@ -205,7 +205,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         }
     }
     if made.damaged > 0 {
-        crate::tell!("note: {} units with files that are damaged or gone were made again", made.damaged);
+        crate::aside!("note: {} units with files that are damaged or gone were made again", made.damaged);
     }
     if args.common.json {
         return Ok(writeln!(out, "{}", figures(args, &settings, &made)?)?);

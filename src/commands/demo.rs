@@ -105,7 +105,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     let started = Instant::now();
     let settings = Settings::new(args.quick, args.seed, args.photos.clone());
     let task = &settings.task;
-    crate::tell!("about {} on two cores", if args.quick { "40 seconds" } else { "5 minutes" });
+    crate::aside!("about {} on two cores", if args.quick { "40 seconds" } else { "5 minutes" });
     let start = task.lens(crate::glasses::all())?;
     crate::glasses::all_taken()?;
     let (sensor, frame) = (task.sensor()?, frame_of(&start)?);

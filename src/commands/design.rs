@@ -180,7 +180,7 @@ fn go_on(mut ready: Option<Prepared>, options: RunOptions<'_>, out: &mut dyn Wri
     };
     let own = parts.len() - 1;
     for (k, part) in parts[..own].iter().enumerate().filter(|(k, _)| k + 1 >= reached.begun) {
-        crate::tell!("stage {} of {}", k + 1, parts.len());
+        crate::aside!("stage {} of {}", k + 1, parts.len());
         let inside = stages::folder_of(folder, k);
         let designing = if k < reached.begun {
             Designing::resume(&inside, device)?
@@ -193,7 +193,7 @@ fn go_on(mut ready: Option<Prepared>, options: RunOptions<'_>, out: &mut dyn Wri
         let quiet: &mut dyn Write = if options.json { &mut std::io::sink() } else { &mut *out };
         run_to_end(designing, RunOptions { validate: None, ..options }, quiet)?;
     }
-    crate::tell!("stage {} of {}", parts.len(), parts.len());
+    crate::aside!("stage {} of {}", parts.len(), parts.len());
     let prepared = fresh(&parts[own], None, own)?;
     let network = network(task.network.base_width, task.network.inputs, task.seed, device)?;
     let textures = task.textures()?;
@@ -220,9 +220,9 @@ fn run_to_end(mut designing: Designing, options: RunOptions<'_>, out: &mut dyn W
     crate::memory::limit().allow("the design", bytes, INSTEAD)?;
     crate::memory::tell(bytes);
     if designing.stage().steps() > 0 {
-        crate::tell!("resumed at step {}", designing.stage().steps());
+        crate::aside!("resumed at step {}", designing.stage().steps());
     }
-    designing.device().iter().for_each(|line| crate::tell!("{line}"));
+    designing.device().iter().for_each(|line| crate::aside!("{line}"));
     // Ctrl-C asks for an end; the step at hand is finished and kept.
     let asked = isoplanat_program::signals::asked();
     let bar = Bar::new(match (designing.task().lens.freeze, by_images) {
@@ -355,16 +355,18 @@ fn prepared(task: &Task, lens: &Lens, file: &str) -> Result<Prepared> {
     }
     if let Some(best) = &prepared.best_built {
         let [least, first] = best.spots_mm.map(|mm| 1e3 * mm);
-        crate::tell!(
+        crate::aside!(
             "spots first: of {} lenses that the search found number {} is the best as built: nine in ten within {least:.1} µm rms, of number 1 within {first:.1} µm",
             best.of,
             best.rank + 1
         );
     }
     if prepared.warm.is_some() && !prepared.taken {
-        crate::tell!("spots first: through that lens no light reaches the frame's corner; the start is taken as it is");
+        crate::aside!(
+            "spots first: through that lens no light reaches the frame's corner; the start is taken as it is"
+        );
     } else if let Some(warm) = &prepared.warm {
-        crate::tell!(
+        crate::aside!(
             "spots first: {:.1} µm rms -> {:.1} µm in {:.2} s ({})",
             1e3 * warm.rms_mm[0],
             1e3 * warm.rms_mm[1],
@@ -447,7 +449,14 @@ fn looked_at(task: &Task, prepared: &Prepared, args: &Args, out: &mut dyn Write)
     }
     writeln!(out, "\n{:32} allowed", "held")?;
     for c in &problem.constraints {
-        writeln!(out, "{:32} {:.4} to {:.4} {}", c.quantity.name(), c.bounds[0], c.bounds[1], c.quantity.unit())?;
+        writeln!(
+            out,
+            "{:32} {:.4} to {:.4} {}",
+            problem.words(c.quantity),
+            c.bounds[0],
+            c.bounds[1],
+            c.quantity.unit()
+        )?;
     }
     writeln!(
         out,

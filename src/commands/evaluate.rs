@@ -212,7 +212,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         } else {
             "a family that no training uses"
         };
-        crate::tell!("no --photos: {SCENES} built-in {family} scenes, {known}");
+        crate::aside!("no --photos: {SCENES} built-in {family} scenes, {known}");
     }
     if let Some(folder) = &args.drawn {
         return drawn(args, &run, &pictures, folder, out);

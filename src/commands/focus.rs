@@ -88,7 +88,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         writeln!(out, "{:#}", numbered(&figures))?;
         return Ok(());
     }
-    notes.iter().for_each(|note| crate::tell!("note: {output}: {note}"));
+    notes.iter().for_each(|note| crate::aside!("note: {output}: {note}"));
     let [before, after, rms, least] = [(before, 8), (after, 8), (rms, 4), (least, 4)].map(|(v, n)| significant(v, n));
     writeln!(out, "sensor from last vertex  {before} mm, now {after}")?;
     writeln!(out, "spots, rms               {rms} µm at {} mm, now {least}", depth_mm)?;

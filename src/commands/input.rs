@@ -55,7 +55,11 @@ fn read_in(name_or_path: &(impl AsRef<Path> + ?Sized), reading: Reading) -> Resu
     let toml = path.extension().is_none_or(|e| e == "toml");
     for note in notes {
         // What another program's file leaves open is no fault of it.
-        crate::tell!("{}: {}: {note}", if toml { "warning" } else { "note" }, path.display());
+        if toml {
+            crate::tell!("warning: {}: {note}", path.display());
+        } else {
+            crate::aside!("note: {}: {note}", path.display());
+        }
     }
     doubts(&lens, &path.display().to_string());
     Ok(lens)
@@ -141,7 +145,7 @@ impl FNumber {
             let allowed = format!("{} or more: the stop's surface is clear up to {clear} mm", significant(least, 5));
             return refuse(format!("{number}, a stop of {} mm", significant(radius, 5)), allowed);
         }
-        crate::tell!(
+        crate::aside!(
             "note: {argument}: f/{number} for this run: the stop's semi-diameter is {} mm in place of {}",
             significant(radius, 6),
             significant(first.stop_semi_diameter, 6)
@@ -155,7 +159,7 @@ impl FNumber {
 pub(crate) fn in_band(lens: &Lens, density: &SpectralDensity, argument: &str) -> Result<()> {
     density.require(lens)?;
     for [from, to] in density.left_out_nm() {
-        crate::tell!(
+        crate::aside!(
             "note: {argument}: {from:.2} to {to:.2} nm are left out: the sensor sees less than {SEEN} of its peak there"
         );
     }
@@ -218,7 +222,7 @@ fn doubts(lens: &Lens, file: &str) {
 #[cfg(feature = "train")]
 fn told(lens: &MeasuredLens, name: &str) -> Result<()> {
     for note in lens.notes()? {
-        crate::tell!("note: {name}: {note}");
+        crate::aside!("note: {name}: {note}");
     }
     Ok(())
 }

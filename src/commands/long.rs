@@ -21,7 +21,7 @@ pub(crate) fn waiting(what: &str, lens: &Lens, rays: usize) -> Waiting {
     let seconds = a_ray(lens) * rays as f64 / rayon::current_num_threads() as f64;
     if seconds >= LONG {
         let count = lens.surfaces.len();
-        crate::tell!("{what}: as much as {rays} rays through {count} surfaces, about {seconds:.0} s");
+        crate::aside!("{what}: as much as {rays} rays through {count} surfaces, about {seconds:.0} s");
     }
     Waiting::new(what)
 }

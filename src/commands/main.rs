@@ -8,7 +8,7 @@
 #[global_allocator]
 static MEMORY: isoplanat::refusing::Refusing = isoplanat::refusing::Refusing;
 
-pub(crate) use isoplanat_program::tell;
+pub(crate) use isoplanat_program::{aside, tell};
 
 mod accuracy;
 mod analyses;
@@ -97,6 +97,9 @@ struct Cli {
     /// The configuration (zoom position) to read of a Zemax or CODE V file that has several, from 1 [default: 1]
     #[arg(long, global = true, value_name = "N")]
     configuration: Option<usize>,
+    /// Print no notes and no progress: warnings and errors alone, beside the result
+    #[arg(long, short, global = true)]
+    quiet: bool,
 }
 
 #[derive(clap::Subcommand)]
@@ -299,9 +302,10 @@ fn run() -> ExitCode {
         Ok(both) => both,
         Err(code) => return ExitCode::from(code),
     };
-    let Cli { command, memory_gib, glass, glass_for, strict, configuration } = cli;
+    let Cli { command, memory_gib, glass, glass_for, strict, configuration, quiet } = cli;
+    isoplanat_program::set_quiet(quiet);
     glasses::set_reading(Reading { strict, configuration, ..Reading::default() });
-    isoplanat::atomic::tell_by(|note| tell!("note: {note}"));
+    isoplanat::atomic::tell_by(|note| aside!("note: {note}"));
     let mut out = BufWriter::new(Printable::new(std::io::stdout().lock()));
     let mut idle = Vec::new();
     let ready = outputs::check(&Cli::command(), &words)

@@ -28,5 +28,5 @@ pub(crate) fn limit() -> Limit {
 /// Says how many bytes are taken at most, once nothing can be refused any more.
 #[cfg(feature = "train")]
 pub(crate) fn tell(bytes: u64) {
-    crate::tell!("memory: at most {}", words(bytes));
+    crate::aside!("memory: at most {}", words(bytes));
 }

@@ -123,7 +123,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     // What the form cannot say is told before the work.
     text_of(&lens, form, crate::glasses::all())?;
     let problem = spec.problem(&lens, &file)?;
-    spec.notes(&lens, &file)?.iter().for_each(|note| crate::tell!("note: {file}: {note}"));
+    spec.notes(&lens, &file)?.iter().for_each(|note| crate::aside!("note: {file}: {note}"));
     if problem.merit.quality == Quality::Wavefront && args.search.is_none() {
         near_focus(&lens)?;
     }
@@ -186,11 +186,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         atomic::write_folder(folder, MARKER, args.common.force, |folder| keep(folder, &found))?;
     }
     doubts(&problem, &outcome).iter().for_each(|doubt| crate::tell!("warning: {doubt}"));
-    let unit = if problem.merit.quality == Quality::Wavefront { "path difference" } else { "spot" };
     if args.common.json {
         json(&outcome, chosen, &found, out)
     } else {
-        text(args, &outcome, (&chosen, &found), unit, out)
+        text(args, &problem, &outcome, (&chosen, &found), out)
     }
 }
 
@@ -210,7 +209,7 @@ fn near_focus(lens: &Lens) -> anyhow::Result<()> {
         return Err(Error::bad(lens.file(), "--quality wavefront", words, allowed).into());
     }
     if share > TOLD {
-        crate::tell!(
+        crate::aside!(
             "note: {}: {words}: path differences are off by about {} % there",
             lens.file(),
             significant(100.0 * share, 2)
@@ -231,7 +230,7 @@ fn doubts(problem: &Problem, o: &Outcome) -> Vec<String> {
         };
         let digits = (5..=12).find(beside).unwrap_or(12);
         let value = [significant(held.value, digits), quantity.unit().to_owned()].join(" ");
-        format!("{} is {} (allowed: {})", quantity.name(), value.trim_end(), allowed(held.of.bounds))
+        format!("{} is {} (allowed: {})", problem.words(quantity), value.trim_end(), allowed(held.of.bounds))
     };
     let broken: Vec<String> = o.broken().take(MOST_BROKEN).map(said).collect();
     if !broken.is_empty() {
@@ -372,11 +371,12 @@ fn pair_svg(before: &Lens, after: &Lens) -> String {
 
 fn text(
     args: &Args,
+    problem: &Problem,
     o: &Outcome,
     (chosen, found): (&[Glass], &[Outcome]),
-    unit: &str,
     out: &mut dyn Write,
 ) -> anyhow::Result<()> {
+    let unit = if problem.merit.quality == Quality::Wavefront { "path difference" } else { "spot" };
     writeln!(out, "{} -> {}", args.lens, args.output.display())?;
     writeln!(
         out,
@@ -410,7 +410,7 @@ fn text(
     }
     writeln!(out, "\n{:32} {:>14}   allowed", "held", "value")?;
     for Valued { of, value } in &o.held {
-        let (name, unit) = (of.quantity.name(), of.quantity.unit());
+        let (name, unit) = (problem.words(of.quantity), of.quantity.unit());
         writeln!(out, "{name:32} {value:>14.6}   {} {unit}", allowed(of.bounds))?;
     }
     if !o.wanted.is_empty() {
@@ -418,7 +418,8 @@ fn text(
     }
     for Valued { of: t, value } in &o.wanted {
         let unit = t.quantity.unit();
-        writeln!(out, "{:32} {value:>14.6}   {:.6} {unit} at {} mm rms a unit", t.quantity.name(), t.value, t.weight)?;
+        let name = problem.words(t.quantity);
+        writeln!(out, "{name:32} {value:>14.6}   {:.6} {unit} at {} mm rms a unit", t.value, t.weight)?;
     }
     writeln!(out, "\n{:32} {:>14}   what loosening it gains", "active", "bound")?;
     for a in &o.active {

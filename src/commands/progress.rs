@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use isoplanat_program::is_quiet;
 
 /// A bar, and what is left of it at its end.
 const UNDER_WAY: &str = "{prefix:28} {bar:30} {percent:>3}% {elapsed} left {eta} {msg}";
@@ -16,11 +17,11 @@ pub(crate) struct Bar(ProgressBar);
 impl Bar {
     /// A bar named `what`; hidden where stderr is not a terminal, which then gets one line at start and end.
     pub(crate) fn new(what: &str) -> Self {
-        let bar = ProgressBar::new(1000);
+        let bar = if is_quiet() { ProgressBar::hidden() } else { ProgressBar::new(1000) };
         bar.set_style(ProgressStyle::with_template(UNDER_WAY).expect("a constant template"));
         bar.set_prefix(what.to_owned());
         if bar.is_hidden() {
-            crate::tell!("{what} …");
+            crate::aside!("{what} …");
         }
         Self(bar)
     }
@@ -35,7 +36,7 @@ impl Bar {
     /// Ends the bar with a message.
     pub(crate) fn done(self, message: String) {
         if self.0.is_hidden() {
-            crate::tell!("{} done in {:.1} s {message}", self.0.prefix(), self.0.elapsed().as_secs_f64());
+            crate::aside!("{} done in {:.1} s {message}", self.0.prefix(), self.0.elapsed().as_secs_f64());
         }
         self.0.set_style(ProgressStyle::with_template(OVER).expect("a constant template"));
         self.0.finish_with_message(message);
@@ -63,7 +64,7 @@ impl Waiting {
         let (shown, over) = (bar.clone(), Arc::clone(&ended));
         std::thread::spawn(move || {
             std::thread::sleep(MOMENT);
-            if !over.load(Ordering::SeqCst) {
+            if !over.load(Ordering::SeqCst) && !is_quiet() {
                 shown.set_draw_target(ProgressDrawTarget::stderr());
             }
             while !over.load(Ordering::SeqCst) {

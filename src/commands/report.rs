@@ -134,7 +134,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     for report in &reports {
         for missing in &report.missing {
-            crate::tell!("note: {}: {missing}", report.lens.file());
+            crate::aside!("note: {}: {missing}", report.lens.file());
         }
         let seconds: f64 = report.seconds.iter().map(|(_, s)| s).sum();
         writeln!(out, "{}: {seconds:.2} s", report.lens.name)?;

@@ -166,7 +166,7 @@ impl SceneArgs {
         };
         let part =
             [start(frame.axis_px[0], frame.columns, columns), start(frame.axis_px[1], frame.rows, rows), columns, rows];
-        crate::tell!(
+        crate::aside!(
             "the frame is large: only its part --crop {},{},{},{} is looked at",
             part[0],
             part[1],

@@ -54,10 +54,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         crate::tell!("warning: {}: {fault}", args.lens);
     }
     for note in &made.notes {
-        crate::tell!("note: {}: {note}", args.lens);
+        crate::aside!("note: {}: {note}", args.lens);
     }
     for (name, form) in forms.iter().filter(|(_, f)| f.text.is_none()) {
-        crate::tell!("note: {}: {}", args.output.join(name).display(), form.words());
+        crate::aside!("note: {}: {}", args.output.join(name).display(), form.words());
     }
     if args.common.json {
         writeln!(out, "{:#}", sheets.json())?;

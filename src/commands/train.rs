@@ -77,9 +77,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         }
     };
     crate::memory::tell(memory::of_training(training.task())?);
-    training.describe().iter().for_each(|line| crate::tell!("{line}"));
+    training.describe().iter().for_each(|line| crate::aside!("{line}"));
     if args.resume {
-        crate::tell!("resumed at step {}", training.step());
+        crate::aside!("resumed at step {}", training.step());
     }
     // Ctrl-C asks for an end; the step at hand is finished and kept.
     let asked = isoplanat_program::signals::asked();

@@ -65,7 +65,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     // A first page, or the reason why there is none, before anything is served.
     let first = watch.page(true)?;
     if !first.contains(SCRIPT) {
-        crate::tell!(
+        crate::aside!(
             "note: {}: of another version of this program: its script does not run here; a browser runs it from the file itself",
             args.what
         );

@@ -44,7 +44,7 @@ pub use page::html;
 pub struct Options {
     /// Rays of a spot and wavelength.
     pub rays: usize,
-    /// Field angles, degrees, rising; none: five, from the axis to the largest.
+    /// Field angles, degrees, rising; none: the file's own where it states three to twelve that end where sensor and light do, or five from the axis to the largest.
     pub fields_deg: Vec<f64>,
     /// Largest field angle, degrees; `None` takes where sensor, field or light end.
     pub max_angle_deg: Option<f64>,
@@ -70,6 +70,10 @@ pub struct Options {
 
 /// Usual number of shifts of the image plane to each side.
 pub const SHIFTS: u32 = 6;
+/// Numbers of stated fields that a page shows.
+const OWN_FIELDS: std::ops::RangeInclusive<usize> = 3..=12;
+/// Part of the largest angle within which stated fields end where sensor and light do.
+const FIELD_ENDS: f64 = 0.01;
 /// Rays of a kernel.
 const KERNEL_RAYS: usize = 8192;
 /// What may be left open of paths without a word, wavelengths: a percent of a Strehl ratio.
@@ -114,6 +118,13 @@ pub struct LensReport {
     pub seconds: Vec<(&'static str, f64)>,
 }
 
+/// The fields that the lens's file states, where a page has room for them and they end where sensor and light do; none otherwise.
+fn own_fields(lens: &Lens, max_angle_deg: f64) -> Vec<f64> {
+    let own = lens.field_points_deg();
+    let ends = own.last().is_some_and(|last| (last - max_angle_deg).abs() <= FIELD_ENDS * max_angle_deg);
+    if OWN_FIELDS.contains(&own.len()) && ends { own } else { Vec::new() }
+}
+
 /// Rays, curves and MTF of `lens`, and what could not be shown of it.
 pub fn look(lens: &Lens, options: &Options) -> (Overview, Vec<String>) {
     let mut missing = Vec::new();
@@ -134,7 +145,12 @@ pub fn look(lens: &Lens, options: &Options) -> (Overview, Vec<String>) {
         }
     });
     let usual = Settings::usual(lens, max_angle);
-    let stated = (!options.fields_deg.is_empty()).then(|| options.fields_deg.clone());
+    let chosen = if options.fields_deg.is_empty() && options.max_angle_deg.is_none() && options.spots {
+        own_fields(lens, max_angle)
+    } else {
+        options.fields_deg.clone()
+    };
+    let stated = (!chosen.is_empty()).then_some(chosen);
     let settings = Settings {
         angles_deg: stated.unwrap_or(usual.angles_deg),
         rays: options.rays,

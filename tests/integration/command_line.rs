@@ -130,3 +130,26 @@ fn signals_end_a_program_and_leave_nothing() {
         assert!(place.files().is_empty(), "{signal}: {:?}", place.files());
     }
 }
+
+/// `--quiet` leaves notes and progress out; results and warnings stay.
+#[test]
+fn quiet_leaves_notes_out() {
+    let place = Workplace::new();
+    let of = |arguments: &str| {
+        let ran = place.run(arguments);
+        assert_eq!(ran.code, 0, "{ran:?}");
+        (ran.out, ran.err)
+    };
+    let (told, notes) = of("convert cooke_triplet a.zmx");
+    assert!(notes.contains("note: a.zmx: a Zemax file states no sensor"), "{notes}");
+    assert_eq!(of("convert cooke_triplet a.zmx --force --quiet"), (told, String::new()));
+    let (told, notes) = of("spot a.zmx");
+    assert!(notes.contains("note: a.zmx: no sensor is stated"), "{notes}");
+    assert_eq!(of("-q spot a.zmx"), (told, String::new()));
+    let (_, notes) = of("render cooke_triplet text -o a.png --columns 48 --rows 32");
+    assert!(notes.contains("done in"), "{notes}");
+    assert_eq!(of("render -q cooke_triplet text -o b.png --columns 48 --rows 32").1, "");
+    // A warning is no note.
+    let (_, doubt) = of("distortion cooke_triplet --fields-deg 5 --quiet");
+    assert!(doubt.starts_with("warning: ") && doubt.lines().count() == 1, "{doubt}");
+}

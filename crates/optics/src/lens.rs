@@ -204,6 +204,8 @@ pub struct Prescription {
     pub object_medium: Medium,
     /// Largest field (as the file states it).
     pub field: Field,
+    /// Fields that the file states, rising, in the unit of `field`; empty where it states the largest alone. Analyses look there.
+    pub field_points: Vec<f64>,
     /// Design wavelengths.
     pub wavelengths: Wavelengths,
     /// Pixel raster.

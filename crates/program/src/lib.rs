@@ -8,6 +8,7 @@ pub mod signals;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 #[doc(hidden)]
 pub use isoplanat_base::terminal::printable;
@@ -20,6 +21,29 @@ macro_rules! tell {
         use std::io::Write as _;
         let _ = writeln!(std::io::stderr(), "{}", $crate::printable(&format!($($words)*)));
     }};
+}
+
+/// [`tell!`]s what nobody must know: left out where [`set_quiet`] asked for it.
+#[macro_export]
+macro_rules! aside {
+    ($($words:tt)*) => {
+        if !$crate::is_quiet() {
+            $crate::tell!($($words)*);
+        }
+    };
+}
+
+/// Whether warnings and errors alone are told.
+static QUIET: AtomicBool = AtomicBool::new(false);
+
+/// Tells warnings and errors alone from now on, no notes and no progress.
+pub fn set_quiet(quiet: bool) {
+    QUIET.store(quiet, Ordering::Relaxed);
+}
+
+/// Whether warnings and errors alone are told.
+pub fn is_quiet() -> bool {
+    QUIET.load(Ordering::Relaxed)
 }
 
 /// What a panic had to say: the hook keeps it off the screen, so that one line can be made of it, and none where somebody catches it.

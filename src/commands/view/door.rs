@@ -104,7 +104,7 @@ pub(super) fn watch(listener: &TcpListener, hall: &Hall, room: &Arc<Room>, is_pr
             Err(e) if [ErrorKind::ConnectionAborted, ErrorKind::ConnectionReset].contains(&e.kind()) => {}
             Err(e) => {
                 if told.insert(e.raw_os_error()) {
-                    crate::tell!("note: a connection could not be taken: {e}; the page is served on");
+                    crate::aside!("note: a connection could not be taken: {e}; the page is served on");
                 }
                 // No descriptors, most likely.
                 room.spare();

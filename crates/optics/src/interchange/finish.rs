@@ -6,7 +6,7 @@ use super::draft::{Draft, FieldKind, Point, Size, Stage};
 use super::media::Stated;
 use super::{Imported, Reading, order, solve, start};
 use crate::lens::catalogue::Glasses;
-use crate::lens::check::check_surface;
+use crate::lens::check::{MAX_FIELD_POINTS, check_surface};
 use crate::lens::{
     Aperture, Field, Lens, Medium, Prescription, SensorRaster, Surface, Wavelengths, clearance, paraxial,
 };
@@ -61,6 +61,7 @@ pub(super) fn finish(mut draft: Draft, file: &str, glasses: &Glasses, reading: R
         object_vergence: draft.object_mm.recip(),
         object_medium,
         field: Field::Angle(0.0),
+        field_points: Vec::new(),
         wavelengths: Wavelengths {
             nm: draft.wavelengths.iter().map(|w| w.0).collect(),
             weights: draft.wavelengths.iter().map(|w| w.1).collect(),
@@ -368,11 +369,25 @@ fn fields(
             angle.to_degrees()
         ));
     }
-    numbers.field = if draft.field == FieldKind::ObjectHeight {
-        Field::ObjectHeight(points.iter().map(|p| p.x.hypot(p.y)).fold(0.0, f64::max))
-    } else {
-        Field::Angle(beams.iter().map(|b| b.angle).fold(0.0, f64::max).to_degrees())
+    let heights = draft.field == FieldKind::ObjectHeight;
+    let mut stated: Vec<f64> = match heights {
+        true => points.iter().map(|p| p.x.hypot(p.y)).collect(),
+        false => beams.iter().map(|b| b.angle.to_degrees()).collect(),
     };
+    stated.sort_by(f64::total_cmp);
+    let largest = stated.last().copied().unwrap_or(0.0);
+    numbers.field = if heights { Field::ObjectHeight(largest) } else { Field::Angle(largest) };
+    // Points on both sides of the axis, or all around it, see the same lens. The largest stays itself.
+    stated.dedup_by(|later, kept| {
+        let same = *later - *kept <= 1e-9 * largest;
+        if same {
+            *kept = *later;
+        }
+        same
+    });
+    if stated.len() > 1 && stated.len() <= MAX_FIELD_POINTS {
+        numbers.field_points = stated;
+    }
     Ok(beams)
 }
 
@@ -401,6 +416,7 @@ fn sensor(draft: &Draft, numbers: &mut Prescription, marked: &[bool], notes: &mu
     let pitch = 2e3 * circle / diagonal;
     let fills = pitch.is_finite() && pitch > 1e-3;
     numbers.sensor = raster(FRAME, if fills { pitch } else { POINT_PITCH_UM });
+    numbers.source.push_str("; its sensor is assumed");
     notes.push(if fills {
         format!(
             "no sensor is stated: {columns} × {rows} pixels of {pitch:.4} µm fill the image circle of {circle:.4} mm"

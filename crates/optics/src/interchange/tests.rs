@@ -2,7 +2,7 @@
 
 use super::{Form, Imported, Reading, load, parse, parse_as, text_of};
 use crate::lens::catalogue::{Glasses, Naming};
-use crate::lens::{ImageSurface, Lens, builtin, paraxial};
+use crate::lens::{Field, ImageSurface, Lens, builtin, paraxial};
 use isoplanat_base::testing::{assert_abs, assert_rel, shared};
 
 /// Focal length and sensor distance, mm.
@@ -417,4 +417,74 @@ fn model_glasses_come_back_from_tables() {
     });
     let why = text_of(&bent.expect("a lens"), Form::Zmx, Glasses::shipped()).expect_err("a table").to_string();
     assert!(why.contains("surface[0].medium") && why.contains("{ n_d, v_d }, as its `medium` in a .toml"), "{why}");
+}
+
+/// Fields that a file states stay: as angles and as heights, through each form. Points on both sides of the axis, or all around it, are one.
+#[test]
+fn stated_fields_are_kept() {
+    let file = |kind: u8, object: &str, x: &str, y: &str| {
+        let count = y.split(' ').count();
+        format!(
+            "MODE SEQ\nNAME fields\nUNIT MM X W X CM MR CPMM\nENPD 4\nFTYP {kind} 0 {count} 1\nXFLN {x}\nYFLN {y}\nWAVM 1 0.5875618 1\nPWAV 1\n\
+             SURF 0\n  TYPE STANDARD\n  CURV 0\n  DISZ {object}\nSURF 1\n  STOP\n  TYPE STANDARD\n  CURV 0.02\n  DISZ 3\n  GLAS N-BK7 0 0 1.5168 64.17\n\
+             SURF 2\n  TYPE STANDARD\n  CURV -0.01\n  DISZ 60\nSURF 3\n  TYPE STANDARD\n  CURV 0\n  DISZ 0\n"
+        )
+    };
+    let angle = (3_f64.to_radians().tan().hypot(4_f64.to_radians().tan())).atan().to_degrees();
+    let cases = [
+        (file(0, "INFINITY", "0 0 0 0", "0 7 -7 10"), vec![0.0, 7.0, 10.0]),
+        (file(0, "INFINITY", "0 0 3 -3 6", "0 2 4 4 0"), vec![0.0, 2.0, angle, 6.0]),
+        (file(1, "200", "0 0 0 3", "5 0 -5 4"), vec![0.0, 5.0]),
+        (file(0, "INFINITY", "0 0 0", "0 0 0"), vec![]),
+    ];
+    for (text, wanted) in cases {
+        let lens = parse(&text, Form::Zmx, "a.zmx", Glasses::shipped()).unwrap_or_else(|e| panic!("{text}: {e}")).lens;
+        let near = |lens: &Lens, of: Form| {
+            assert_eq!(lens.field_points.len(), wanted.len(), "{of:?}: {:?}", lens.field_points);
+            lens.field_points.iter().zip(&wanted).for_each(|(a, b)| assert_abs(*a, *b, 1e-12, "a field"));
+        };
+        near(&lens, Form::Zmx);
+        for form in [Form::Toml, Form::Zmx, Form::Seq] {
+            let (written, _) = text_of(&lens, form, Glasses::shipped()).unwrap_or_else(|e| panic!("{form:?}: {e}"));
+            let again = parse(&written, form, "", Glasses::shipped()).unwrap_or_else(|e| panic!("{written}: {e}")).lens;
+            match (form, wanted.is_empty()) {
+                (Form::Toml, _) => assert_eq!(again.field_points, lens.field_points),
+                (_, false) => near(&again, form),
+                // The axis alone, three times.
+                (_, true) => assert!(again.field_points.is_empty()),
+            }
+            assert_eq!(again.field, lens.field, "{form:?}");
+        }
+        // A smaller field leaves out what lies beyond.
+        if let [.., before, last] = lens.field_points[..] {
+            let half = lens.changed(|l| {
+                l.field = if l.object_vergence > 0.0 {
+                    Field::ObjectHeight(f64::midpoint(before, last))
+                } else {
+                    Field::Angle(f64::midpoint(before, last))
+                }
+            });
+            let points = half.expect("a lens").field_points_deg();
+            assert_eq!(points.len(), wanted.len() - 1, "{points:?}");
+        }
+    }
+    let own = |field: &str| {
+        let text = builtin::text("cooke_triplet")
+            .expect("shipped")
+            .replace("field = { max_angle_deg = 20.0 }", &format!("field = {{ {field} }}"));
+        parse(&text, Form::Toml, "a.toml", Glasses::shipped())
+    };
+    assert_eq!(
+        own("max_angle_deg = 20.0, angles_deg = [0, 14, 20]").expect("reads").lens.field_points,
+        [0.0, 14.0, 20.0]
+    );
+    for (field, told) in [
+        ("max_angle_deg = 20.0, angles_deg = [0, 21]", "field.angles_deg: 21; up to the largest field, 20"),
+        ("max_angle_deg = 20.0, angles_deg = [14, 0]", "rising numbers"),
+        ("max_angle_deg = 20.0, angles_deg = [-1, 0]", "rising numbers"),
+        ("max_angle_deg = 20.0, object_heights_mm = [0, 1]", "field.object_heights_mm"),
+    ] {
+        let why = own(field).expect_err(field).to_string();
+        assert!(why.contains(told), "{why}");
+    }
 }

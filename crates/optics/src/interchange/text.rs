@@ -5,13 +5,27 @@ use isoplanat_base::error::{Error, Location, Result};
 
 /// The largest object's height, mm, where a file states heights: those of the lens, or those of its angles where it is telecentric in
 /// object space and other programs know no angles.
-pub(super) fn object_height(lens: &Lens) -> Option<f64> {
+fn object_height(lens: &Lens) -> Option<f64> {
     let origin = paraxial::field_origin(lens);
     match lens.field {
         Field::ObjectHeight(height) => Some(height),
         Field::Angle(angle) if origin.telecentric => Some(angle.to_radians().tan() / lens.object_vergence),
         Field::Angle(_) => None,
     }
+}
+
+/// The fields to write, in a file that states heights or angles: those of the lens, or the axis, 0.7 of the largest and the largest.
+pub(super) fn fields(lens: &Lens) -> (bool, Vec<f64>) {
+    let heights = object_height(lens);
+    let largest = heights.unwrap_or(lens.max_field_deg());
+    let angles = lens.field_points_deg();
+    let own: Vec<f64> = match (lens.field, heights) {
+        (Field::Angle(_), Some(_)) => angles.iter().map(|a| a.to_radians().tan() / lens.object_vergence).collect(),
+        (Field::Angle(_), None) => angles,
+        (Field::ObjectHeight(_), _) => lens.field_points.iter().copied().filter(|p| *p <= largest).collect(),
+    };
+    let usual = || [0.0, 0.7, 1.0].map(|share| share * largest).to_vec();
+    (heights.is_some(), if own.last() == Some(&largest) { own } else { usual() })
 }
 
 /// What is told of a file with more wavelengths than its own program, which takes `most`, reads.
@@ -77,6 +91,11 @@ pub(super) fn shown(word: &str) -> String {
 /// A number as files state it: it reads back to the last bit.
 pub(super) fn plain(x: f64) -> String {
     if x == 0.0 || (1e-4..1e7).contains(&x.abs()) { format!("{x}") } else { format!("{x:e}") }
+}
+
+/// [`plain`] numbers with spaces between.
+pub(super) fn list(numbers: &[f64]) -> String {
+    numbers.iter().copied().map(plain).collect::<Vec<_>>().join(" ")
 }
 
 /// Refuses a lens with tilts, decentres or freeform terms, which `what` cannot say.

@@ -66,12 +66,9 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
     };
     let _ = writeln!(out, "TITLE '{name}'\n{size}\nDIM M");
     let _ = writeln!(out, "WL {}\nREF {}\nWTW {}", list(|c| c.0), primary + 1, list(|c| c.1));
-    let (kind, largest) = match super::text::object_height(lens) {
-        Some(height) => ("OB", height),
-        None => ("AN", lens.max_field_deg()),
-    };
-    let fields = [0.0, 0.7, 1.0].map(|share| plain(share * largest));
-    let _ = writeln!(out, "X{kind} 0 0 0\nY{kind} {}", fields.join(" "));
+    let (heights, fields) = super::text::fields(lens);
+    let kind = if heights { "OB" } else { "AN" };
+    let _ = writeln!(out, "X{kind}{}\nY{kind} {}", " 0".repeat(fields.len()), super::text::list(&fields));
     if !private.is_empty() {
         notes.push(format!("media without a catalogue are written as tables: {} of them", private.len()));
         out.push_str("PRV\n");

@@ -44,13 +44,10 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
     }
     // Angles are those at an entrance pupil: a lens that is telecentric in object space has none.
     let telecentric = paraxial::field_origin(lens).telecentric;
-    let (kind, largest) = match super::text::object_height(lens) {
-        Some(height) => (1, height),
-        None => (0, lens.max_field_deg()),
-    };
-    let fields = [0.0, 0.7, 1.0].map(|share| share * largest);
+    let (heights, fields) = super::text::fields(lens);
+    let kind = u8::from(heights);
     let _ = writeln!(out, "FTYP {kind} {} {} {}", u8::from(telecentric), fields.len(), colours.len());
-    let _ = writeln!(out, "XFLN 0 0 0\nYFLN {}", fields.map(plain).join(" "));
+    let _ = writeln!(out, "XFLN{}\nYFLN {}", " 0".repeat(fields.len()), super::text::list(&fields));
     for (i, (nm, weight)) in colours.iter().enumerate() {
         let _ = writeln!(out, "WAVM {} {} {}", i + 1, micrometres(*nm), plain(*weight));
     }

@@ -8,6 +8,8 @@ use isoplanat_base::error::{Error, Location, Result};
 pub(crate) const MAX_SURFACES: usize = 400;
 /// Most wavelengths that a lens states; other programs take up to 24.
 const MAX_WAVELENGTHS: usize = 100;
+/// Fields that a lens states, at most.
+pub(crate) const MAX_FIELD_POINTS: usize = 200;
 /// Largest curvature (1/mm) and conic constant of the image surface.
 const MOST_CURVED: f64 = 1e6;
 /// Largest object.
@@ -95,6 +97,12 @@ impl Prescription {
                 return refuse("field.max_object_height_mm", found, "a finite object.distance_mm, or max_angle_deg");
             }
             _ => {}
+        }
+        let (points, most) = (&self.field_points, MAX_FIELD_DEG.max(MAX_HEIGHT_MM));
+        let rising = points.iter().all(|p| (0.0..=most).contains(p)) && points.windows(2).all(|w| w[0] < w[1]);
+        if !rising || points.len() > MAX_FIELD_POINTS {
+            let allowed = format!("up to {MAX_FIELD_POINTS} rising numbers from 0 to the largest field");
+            return refuse("field", format!("the fields {points:?}"), &allowed);
         }
         if matches!(self.aperture, Aperture::ObjectNa(_)) && self.object_vergence == 0.0 {
             let allowed = "a finite object.distance_mm, or another statement of the aperture";

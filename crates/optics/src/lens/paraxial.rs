@@ -291,6 +291,16 @@ impl Prescription {
             Field::ObjectHeight(height) => angle_of_height(self, height).to_degrees(),
         }
     }
+
+    /// Angles of the stated fields ([`Prescription::field_points`]) as [`Self::max_field_deg`] counts them, rising; those beyond the largest field are left out.
+    pub fn field_points_deg(&self) -> Vec<f64> {
+        let (Field::Angle(largest) | Field::ObjectHeight(largest)) = self.field;
+        let within = self.field_points.iter().copied().filter(|p| *p <= largest);
+        match self.field {
+            Field::Angle(_) => within.collect(),
+            Field::ObjectHeight(_) => within.map(|height| angle_of_height(self, height).to_degrees()).collect(),
+        }
+    }
 }
 
 /// The field angle (radians) of an object at `height` (mm) in the object's plane of `lens`.

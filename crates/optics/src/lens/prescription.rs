@@ -58,13 +58,17 @@ struct FileObject {
     medium: Option<FileMedium>,
 }
 
-#[derive(Serialize, Deserialize)]
+#[derive(Serialize, Deserialize, Default)]
 #[serde(deny_unknown_fields)]
 struct FileField {
     #[serde(skip_serializing_if = "Option::is_none")]
     max_angle_deg: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     max_object_height_mm: Option<f64>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    angles_deg: Vec<f64>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    object_heights_mm: Vec<f64>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -272,9 +276,14 @@ pub(crate) fn read(text: &str, file: &str, glasses: &Glasses) -> Result<Read> {
             "one of entrance_pupil_diameter_mm, f_number, stop_semi_diameter_mm, object_space_na",
         ));
     };
-    let field = match parsed.field {
-        FileField { max_angle_deg: Some(angle), max_object_height_mm: None } => Field::Angle(angle),
-        FileField { max_angle_deg: None, max_object_height_mm: Some(height) } => Field::ObjectHeight(height),
+    let FileField { max_angle_deg, max_object_height_mm, angles_deg, object_heights_mm } = parsed.field;
+    let (field, (key, field_points), (other, others)) = match (max_angle_deg, max_object_height_mm) {
+        (Some(angle), None) => {
+            (Field::Angle(angle), ("angles_deg", angles_deg), ("object_heights_mm", object_heights_mm))
+        }
+        (None, Some(height)) => {
+            (Field::ObjectHeight(height), ("object_heights_mm", object_heights_mm), ("angles_deg", angles_deg))
+        }
         _ => {
             return Err(refuse(
                 "field",
@@ -283,6 +292,15 @@ pub(crate) fn read(text: &str, file: &str, glasses: &Glasses) -> Result<Read> {
             ));
         }
     };
+    let (Field::Angle(largest) | Field::ObjectHeight(largest)) = field;
+    if let Some(beyond) = field_points.iter().find(|p| **p > largest) {
+        let place = Location::from("field").key(key);
+        return Err(Error::bad(file, place, beyond.to_string(), format!("up to the largest field, {largest}")));
+    }
+    if !others.is_empty() {
+        let place = Location::from("field").key(other);
+        return Err(Error::bad(file, place, format!("{others:?}"), format!("{key}, as the largest field is stated")));
+    }
     let stops: Vec<usize> = (0..parsed.surface.len()).filter(|i| parsed.surface[*i].stop).collect();
     let [stop] = stops[..] else {
         return Err(refuse("surface", format!("{} surfaces with stop = true", stops.len()), "exactly one"));
@@ -311,6 +329,7 @@ pub(crate) fn read(text: &str, file: &str, glasses: &Glasses) -> Result<Read> {
         object_vergence: 1.0 / parsed.object.distance_mm,
         object_medium,
         field,
+        field_points,
         wavelengths: Wavelengths {
             nm: parsed.wavelengths.nm,
             weights: parsed.wavelengths.weights,
@@ -426,9 +445,12 @@ pub fn to_toml(lens: &Prescription) -> String {
         Aperture::StopSemiDiameter(r) => aperture.stop_semi_diameter_mm = Some(r),
         Aperture::ObjectNa(na) => aperture.object_space_na = Some(na),
     }
+    let points = lens.field_points.clone();
     let field = match lens.field {
-        Field::Angle(angle) => FileField { max_angle_deg: Some(angle), max_object_height_mm: None },
-        Field::ObjectHeight(height) => FileField { max_angle_deg: None, max_object_height_mm: Some(height) },
+        Field::Angle(angle) => FileField { max_angle_deg: Some(angle), angles_deg: points, ..FileField::default() },
+        Field::ObjectHeight(height) => {
+            FileField { max_object_height_mm: Some(height), object_heights_mm: points, ..FileField::default() }
+        }
     };
     let surface = lens.surfaces.iter().enumerate().map(|(i, s)| write_surface(s, i == lens.stop)).collect();
     let file = File {

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use super::constraint::{Constraint, Target};
+use super::constraint::{Constraint, Quantity, Target};
 use super::merit::{Apertures, Merit};
 use crate::lens::clearance::require_clear_axis;
 use crate::lens::variables::Variables;
@@ -33,6 +33,15 @@ pub struct Problem {
 }
 
 impl Problem {
+    /// A quantity's name, with the field angle behind it where it is one field's.
+    #[doc(hidden)]
+    pub fn words(&self, quantity: Quantity) -> String {
+        let name = quantity.name();
+        let Quantity::Distortion(k) = quantity else { return name };
+        let Some([share, _]) = self.merit.fields.get(k) else { return name };
+        format!("{name} at {:.2}°", share * self.lens.max_field_deg())
+    }
+
     /// The lens of solved numbers whose beam has these heights, its clear semi-diameters after the beam where they are automatic.
     ///
     /// # Errors

@@ -30,6 +30,7 @@ fn lens(name: &str, source: &str, rows: &[Row], unit: f64, stop: usize, aperture
         object_vergence: 0.0,
         object_medium: Medium::Air,
         field: Field::Angle(field_deg),
+        field_points: Vec::new(),
         wavelengths: Wavelengths { nm: vec![587.5618], weights: vec![1.0], primary_nm: 587.5618 },
         sensor: SensorRaster { columns: 100, rows: 100, pitch_um: 5.0, axis_px: [50.0, 50.0] },
         image: ImageSurface::default(),

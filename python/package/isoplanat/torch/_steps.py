@@ -1,5 +1,6 @@
 """Steps of a lens by the gradient of one's own loss, as ``isoplanat design`` takes them."""
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -7,6 +8,10 @@ import torch
 
 from .._isoplanat import Steps
 from ._layer import LensLayer
+
+
+STILL = 3
+"""Steps in a row that move nothing before that is told."""
 
 
 class Step(NamedTuple):
@@ -39,6 +44,8 @@ class LensSteps(torch.optim.Optimizer):
     With the Jacobian of the rays' landings a step moves rays by ``lr`` mm, root mean square, where gradients agree, and by less where they do not. What is held is
     linear in each step, exactly; lenses through which rays do not pass are not entered. Curvatures, thicknesses and aspheres need no rates of
     their own. The gradient's scale does not matter, only how gradients agree: clipping its norm changes nothing. Numbers with ``requires_grad=False`` stay.
+    A start that violates what is held is brought back first, by as much as that takes, which may be more than ``lr``. Three steps in a row that move nothing are
+    warned of once, with the reason.
 
     Parameters
     ----------
@@ -81,6 +88,14 @@ class LensSteps(torch.optim.Optimizer):
         self._frozen = self._now_frozen()
         self._steps = Steps(layer._core, values, hold, dict(constraints or {}), dict(bounds or {}), self._frozen)
         self.last: Step | None = None
+        self._still = 0
+
+    def _stays(self, why: str) -> None:
+        """A step that moved nothing."""
+        self.last = Step(False, 0.0, 0.0, float("nan"), [why])
+        self._still += 1
+        if self._still == STILL:
+            warnings.warn(f"LensSteps: {STILL} steps in a row moved nothing: {why}", stacklevel=4)
 
     def _now_frozen(self) -> list[str]:
         """Numbers that ask for no gradient: they stay."""
@@ -116,19 +131,24 @@ class LensSteps(torch.optim.Optimizer):
         if self._now_frozen() != self._frozen:
             raise ValueError("layer: numbers were frozen or freed since; LensSteps made anew")
         values, gradient = layer._values().detach(), layer._gradient()
-        if rate == 0 or not bool(gradient.any()):
-            self.last = Step(False, 0.0, 0.0, float("nan"), ["no rate" if rate == 0 else "no gradient"])
+        if rate == 0:
+            # As a schedule asks for.
+            self.last = Step(False, 0.0, 0.0, float("nan"), ["no rate"])
+            return loss
+        if not bool(gradient.any()):
+            self._stays("no gradient")
             return loss
         if not bool(torch.isfinite(gradient).all()):
-            self.last = Step(False, 0.0, 0.0, float("nan"), ["a gradient that is not finite"])
+            self._stays("a gradient that is not finite")
             return loss
         found = self._steps.step(layer._core, values.cpu().numpy(), gradient.cpu().numpy(), rate)
         if found is None:
-            self.last = Step(False, 0.0, 0.0, float("nan"), ["no lens in that direction"])
+            self._stays("no lens in that direction")
         else:
             core, moved, length, signal, violation, held_by = found
             layer._settle(core, torch.from_numpy(moved).to(values.device))
             self.last = Step(True, length, signal, violation, held_by)
+            self._still = 0
         return loss
 
     def state_dict(self) -> dict[str, Any]:
