@@ -62,7 +62,6 @@ fn problem(
     let held = |name: &str| hold.iter().any(|h| h == name) && !stated(name);
     let free_focus = !held("focal_length") && !stated("focal_length");
     let [track, back_focus, f_number, distorted] = ["track", "back_focus", "f_number", "distortion"].map(held);
-    spec.apertures = Some("automatic".to_owned());
     spec.depths_mm = Some(planned.plan.depths.iter().map(|d| d.vergence.recip()).collect());
     let mut moving = planned.variables.parameters.clone();
     moving.retain(|p| !frozen.contains(&p.name(&lens)));
@@ -88,7 +87,7 @@ fn problem(
     if distorted {
         problem.constraints.extend(distortion_held(distortion, outermost));
     }
-    Ok(problem)
+    Ok(problem.following_beam())
 }
 
 #[pymethods]

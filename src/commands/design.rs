@@ -19,7 +19,7 @@ use isoplanat::design::task::stated::Stated;
 use isoplanat::imaging::render::{Settings, frame_of};
 use isoplanat::lens::{Lens, prescription};
 use isoplanat::network::Compute;
-use isoplanat::optimize::merit_of;
+use isoplanat::optimize::{Apertures, Problem, merit_of};
 use isoplanat::report::verdict::Verdict;
 use isoplanat::{Error, Result};
 
@@ -409,6 +409,14 @@ fn check(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// What becomes of clear semi-diameters, in words.
+fn held_as(problem: &Problem) -> &'static str {
+    match problem.merit.apertures {
+        Apertures::Automatic => "follow the beam: all of the stop's light counts over the field",
+        Apertures::Stated => "stay as stated: the rays that they let through count",
+    }
+}
+
 /// What would be done in one of them: in words, or as the value that is returned.
 fn looked_at(task: &Task, prepared: &Prepared, args: &Args, out: &mut dyn Write) -> anyhow::Result<serde_json::Value> {
     let (problem, settings) = (&prepared.problem, JointSettings::of(task)?);
@@ -438,6 +446,7 @@ fn looked_at(task: &Task, prepared: &Prepared, args: &Args, out: &mut dyn Write)
         return Ok(value);
     }
     writeln!(out, "field to {:.2}° half; {} scenes to train on", problem.lens.max_field_deg(), textures.len())?;
+    writeln!(out, "clear semi-diameters {}", held_as(problem))?;
     if let Some(rms) = spots {
         writeln!(out, "the stage begins with spots of {:.1} µm rms", 1e3 * rms)?;
     }

@@ -262,7 +262,7 @@ impl Task {
     }
 
     /// What moves and is held in the joint stage, for `lens` on a frame whose corner sees `corner_deg` with so much `distortion`: where
-    /// `optics` says nothing, the forms of refracting surfaces and all thicknesses, all light of the stop over the frame's field, a
+    /// `optics` says nothing, the forms of refracting surfaces and all thicknesses, all light of the stop over the frame's field (in a lens that vignettes what it lets through), a
     /// distortion within 8 % at its edge or near the lens's own. `file` names the task.
     ///
     /// # Errors
@@ -270,7 +270,6 @@ impl Task {
     pub fn problem(&self, lens: &Lens, [corner_deg, distortion]: [f64; 2], file: &str) -> Result<Problem> {
         let lens = lens.changed(|l| l.field = Field::Angle(corner_deg))?;
         let mut spec = self.optics.clone();
-        spec.apertures.get_or_insert_with(|| "automatic".to_owned());
         if spec.depths_mm.is_none() && !self.pictures.depths_mm.is_empty() {
             spec.depths_mm = Some(self.pictures.depths_mm.clone());
         }
@@ -282,7 +281,7 @@ impl Task {
         if !stated {
             problem.constraints.extend(distortion_held(distortion, problem.merit.fields.len() - 1));
         }
-        Ok(problem)
+        Ok(if spec.apertures.is_some() { problem } else { problem.following_beam() })
     }
 
     /// The task of a run's folder, with the run's lens as it is now.

@@ -17,7 +17,6 @@ use super::problem::{KEPT, Problem};
 use super::quadratic::Row;
 use super::solver::{Kept, Point, Solver, program};
 use crate::lens::{Lens, LensGradient};
-use crate::trace::Failure;
 use isoplanat_base::error::{Error, Result};
 
 /// `λ`: directions that rays feel less than this are held by the sizes of the numbers themselves.
@@ -78,38 +77,50 @@ pub struct Move {
     pub active: Vec<String>,
 }
 
+impl Problem {
+    /// The same with clear semi-diameters that follow the beam ([`Apertures::Automatic`]). Where all of the stop's light over the field would need a lens that cannot be
+    /// made, as in one that vignettes, they stay as stated ([`Apertures::Stated`]): the rays that they let through are looked at.
+    #[must_use]
+    pub fn following_beam(mut self) -> Self {
+        let violation = |problem: &Self| {
+            let found = Descent::new(problem).ok().and_then(|mut d| d.violation(&problem.lens));
+            found.unwrap_or(f64::INFINITY)
+        };
+        self.merit.apertures = Apertures::Automatic;
+        let follows = violation(&self);
+        if follows > UNMADE {
+            self.merit.apertures = Apertures::Stated;
+            if violation(&self) > 0.5 * follows {
+                self.merit.apertures = Apertures::Automatic;
+            }
+        }
+        self
+    }
+}
+
 /// Steps of a problem's variables.
 pub struct Descent {
     solver: Solver,
 }
 
 impl Descent {
-    /// For `problem`, whose lens says which of its rays get through. Where clear semi-diameters are to follow the beam, but all of the stop's light over the field would
-    /// need a lens that cannot be made, as in one that vignettes, they are kept as stated ([`Apertures::Stated`]): the rays that they let through are looked at.
+    /// For `problem`, whose lens says which of its rays get through.
     ///
     /// # Errors
     /// A problem that is none; a lens through which its rays do not pass.
     pub fn new(problem: &Problem) -> Result<Self> {
         problem.check()?;
-        let of = |problem: &Problem| Solver::new(problem, &problem.lens, 1.0).map(|(solver, _)| Self { solver });
-        let mut found = of(problem);
-        let violation = |found: &mut Result<Self, Failure>| {
-            found.as_mut().ok().and_then(|d| d.violation(&problem.lens)).unwrap_or(f64::INFINITY)
-        };
-        let follows = problem.merit.apertures == Apertures::Automatic;
-        let before = if follows { violation(&mut found) } else { 0.0 };
-        if before > UNMADE {
-            let mut problem = problem.clone();
-            problem.merit.apertures = Apertures::Stated;
-            let mut stated = of(&problem);
-            if violation(&mut stated) < 0.5 * before {
-                found = stated;
-            }
-        }
-        found.map_err(|f| {
+        let (solver, _) = Solver::new(problem, &problem.lens, 1.0).map_err(|f| {
             let found = format!("a ray {} at surface {}", f.cause.name(), f.surface);
-            Error::bad(problem.lens.file(), "start", found, "a lens that lets light through over its field")
-        })
+            let allowed = match problem.merit.apertures {
+                Apertures::Automatic => {
+                    "a lens that lets all of its aperture through over its field, or stated apertures"
+                }
+                Apertures::Stated => "a lens that lets light through over its field",
+            };
+            Error::bad(problem.lens.file(), "start", found, allowed)
+        })?;
+        Ok(Self { solver })
     }
 
     /// What moves and is held.
@@ -359,10 +370,9 @@ mod tests {
         let mut vignetting = 0;
         for (name, _) in builtin::LENSES {
             let lens = builtin::lens(name).expect("shipped");
-            let mut problem = Problem::standard(&lens);
-            problem.merit.apertures = Apertures::Automatic;
+            let problem = Problem::standard(&lens).following_beam();
             let mut descent = Descent::new(&problem).unwrap_or_else(|e| panic!("{name}: {e}"));
-            vignetting += usize::from(descent.problem().merit.apertures == Apertures::Stated);
+            vignetting += usize::from(problem.merit.apertures == Apertures::Stated);
             let before = descent.merit(&lens).expect("arrives");
             let gradient = merit_gradient(&mut descent, &lens);
             let rate = 0.02 * before;
@@ -372,7 +382,7 @@ mod tests {
             eprintln!("{name}: {before:.6} -> {after:.6} mm, violation {:.1e}", moved.violation);
             // A start that violates what is held is brought back first.
             assert!(after < before || moved.violation > HARDLY, "{name}: {before} -> {after}");
-            if descent.problem().merit.apertures == Apertures::Stated {
+            if problem.merit.apertures == Apertures::Stated {
                 lens.surfaces
                     .iter()
                     .zip(&moved.lens.surfaces)
