@@ -16,7 +16,7 @@ fn run() -> Result<()> {
         weights: vec![1.0; 3],
         fields: 4,
         pitch_mm: 0.01,
-        ..KernelRequest::of(&lens)
+        ..KernelRequest::for_lens(&lens)
     };
     let set = KernelSet::compute(&lens, &request)?;
     println!("[depth, field, wavelength, row, col] = {:?}", set.kernels.shape());

@@ -45,7 +45,7 @@ fn main() {
     paths.extend(
         std::fs::read_dir(folder.join("least_squares")).into_iter().flatten().map(|e| e.expect("entry").path()),
     );
-    paths.retain(|p| p.is_file() && Form::of(p).is_ok());
+    paths.retain(|p| p.is_file() && Form::from_path(p).is_ok());
     paths.retain(|p| !["first_order_facts.json", "baselines.json"].iter().any(|f| p.ends_with(f)));
     paths.sort();
     println!("# Lens files of other programs\n");

@@ -59,7 +59,7 @@ impl Frames {
         let renderer = subject
             .renderer(&SpectralDensity::new(sensor), &[subject.vergence()], FINENESS)
             .expect("a lens that images");
-        let electronics = Electronics::of(sensor);
+        let electronics = Electronics::from_sensor(sensor);
         let frame = &renderer.plan.frame;
         let whole = Region::whole(frame);
         let map = &renderer.optics.maps[0];

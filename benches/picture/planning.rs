@@ -64,7 +64,7 @@ pub(crate) fn gradients() -> String {
         let plan = case.plan(Request::Psnr(45.0), false);
         let renderer = &plan.renderer;
         let whole = Region { row: 0, col: 0, rows: SIZE[1], cols: SIZE[0] };
-        let picture = || renderer.picture::<f32>(&case.scene, 0, whole, &Channels::of(&case.scene), &|_| ()).0;
+        let picture = || renderer.picture::<f32>(&case.scene, 0, whole, &Channels::from_scene(&case.scene), &|_| ()).0;
         let (forward, image) = fastest(picture);
         let (recorded, rendered) = fastest(|| renderer.record::<f32>(&case.scene, 0, whole));
         let zero = Array3::zeros(image.dim());

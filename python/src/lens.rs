@@ -245,7 +245,7 @@ impl Lens {
     fn save(&self, py: Python<'_>, file: PathBuf, force: bool) -> PyResult<Vec<String>> {
         let lens = &self.inner;
         work(py, || {
-            let form = Form::of(&file)?;
+            let form = Form::from_path(&file)?;
             check_target(&file, force.into())?;
             let (text, notes) = text_of(lens, form, &glasses(&[])?)?;
             write_bytes(Target::new(&file, force), text.as_bytes())?;

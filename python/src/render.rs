@@ -294,7 +294,7 @@ impl Asked<'_, '_> {
 /// The picture of a scene and its ideal.
 fn both<T: Number>(plan: &Plan, scene: &Plane) -> Result<[Array3<T>; 2]> {
     let renderer = &plan.renderer;
-    let (whole, channels) = (Region::whole(&renderer.plan.frame), Channels::of(scene));
+    let (whole, channels) = (Region::whole(&renderer.plan.frame), Channels::from_scene(scene));
     finite(scene)?;
     let (picture, _): (_, Seen) = renderer.picture::<T>(scene, 0, whole, &channels, &|_| isoplanat::stop::look());
     Ok([picture, renderer.truth::<T>(scene, 0, whole, &channels)])

@@ -33,7 +33,7 @@ struct Figures<'a> {
 
 /// Runs the command; a line on what was written goes to `out`.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    let form = Form::of(&args.output)?;
+    let form = Form::from_path(&args.output)?;
     crate::output::check_writable(&args.output, args.common.force)?;
     let lens = crate::input::lens(&args.input)?;
     let (text, notes) = text_of(&lens, form, crate::glasses::all())?;

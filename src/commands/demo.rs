@@ -199,7 +199,7 @@ fn designed(task: &Task, start: &Lens, scenery: &Scenery<'_>, report: &mut DemoR
     let fresh = network(task.network.base_width, task.network.inputs, task.seed, Compute::Cpu)?;
     let prepared = prepare(task, start, "demo", &mut |_, _| {})?;
     let (stage, history) =
-        joint_stage(scenery, &prepared.problem, fresh, JointSettings::of(task)?, &mut |share, e| {
+        joint_stage(scenery, &prepared.problem, fresh, JointSettings::from_task(task)?, &mut |share, e| {
             bar.set(share, format!("L1 {:.4}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db));
         })?;
     bar.done(format!("{} steps taken back", stage.joint.rejected));

@@ -419,7 +419,7 @@ fn held_as(problem: &Problem) -> &'static str {
 
 /// What would be done in one of them: in words, or as the value that is returned.
 fn looked_at(task: &Task, prepared: &Prepared, args: &Args, out: &mut dyn Write) -> anyhow::Result<serde_json::Value> {
-    let (problem, settings) = (&prepared.problem, JointSettings::of(task)?);
+    let (problem, settings) = (&prepared.problem, JointSettings::from_task(task)?);
     let textures = task.textures()?;
     let sensor = task.sensor()?;
     let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&problem.lens)?, seed: task.seed };

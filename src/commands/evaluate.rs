@@ -233,7 +233,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if let Some(folder) = &args.pictures {
         run.save(folder, args.common.force, &sheets, &result, &pictures)?;
     }
-    let verdicts = Verdict::of(&result);
+    let verdicts = Verdict::from_evaluation(&result);
     if args.common.json {
         let mut json = value(&result)?;
         json["verdicts"] = serde_json::to_value(&verdicts)?;

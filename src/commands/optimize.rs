@@ -95,7 +95,7 @@ pub(crate) struct Args {
 
 /// Runs the command; the result goes to `out`.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    let form = Form::of(&args.output)?;
+    let form = Form::from_path(&args.output)?;
     if matches!(form, Form::Json | Form::Txt) {
         let file = args.output.display().to_string();
         return Err(Error::bad(file, "name", "a form that is read only", ".toml, .zmx or .seq").into());

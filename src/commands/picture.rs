@@ -94,7 +94,7 @@ pub(crate) fn read(path: &Path, encoding: Option<Encoding>, cfa: Option<Cfa>, wa
 
 /// The colours of a mosaic, each at its own pixels.
 fn mosaic_channels(mosaic: &ArcArray2<f64>, cfa: Cfa, range: Option<[f64; 2]>) -> Vec<Channel> {
-    let channel = |(i, name)| Channel { name, plane: mosaic.clone(), sites: Sites::of(cfa, i), range };
+    let channel = |(i, name)| Channel { name, plane: mosaic.clone(), sites: Sites::from_cfa(cfa, i), range };
     COLOURS.into_iter().enumerate().map(|(i, name)| channel((i, name))).collect()
 }
 

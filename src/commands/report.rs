@@ -195,7 +195,7 @@ fn of_kit(
     let apart = Apart {
         memory_bytes: Some(crate::memory::limit().bytes),
         hint: "; --memory-gib sets that of memory",
-        ..Apart::of(Helper::current()?)
+        ..Apart::new(Helper::current()?)
     };
     let bar = Bar::new("slanted edges");
     let found = measured(lens, &kit, (&options, Some(&apart)), settings, &mut |share| bar.set(share, String::new()))?;

@@ -28,7 +28,7 @@ pub struct Exposure<'a> {
 impl Exposure<'_> {
     /// The noise of the signal, black 0 and saturation 1.
     pub fn noise(&self) -> Noise {
-        let own = Noise::of(self.sensor);
+        let own = Noise::from_sensor(self.sensor);
         Noise { shot: own.shot * self.level * self.level, read: own.read * self.level }
     }
 
@@ -43,7 +43,7 @@ impl Exposure<'_> {
         illumination: ArrayView3<'_, f32>,
         region: Region,
     ) -> Array3<f32> {
-        let electronics = Electronics { noise: self.noise(), ..Electronics::of(self.sensor) }.at(region);
+        let electronics = Electronics { noise: self.noise(), ..Electronics::from_sensor(self.sensor) }.at(region);
         let (_, rows, cols) = image.dim();
         let eps = standard_normal(self.seed, (rows, cols));
         let even = Array3::ones(if self.flat_field { (0, 0, 0) } else { illumination.dim() });

@@ -137,7 +137,7 @@ mod tests {
             let renderer = Renderer::planned(&lens, &frame, &density, &[lens.object_vergence], Settings::DESIGN);
             let renderer = renderer.expect("plans");
             let electronics =
-                Electronics { noise: Noise { shot: 0.0, read: 0.0 }, ..Electronics::of(&Sensor::generic()) };
+                Electronics { noise: Noise { shot: 0.0, read: 0.0 }, ..Electronics::from_sensor(&Sensor::generic()) };
             let places = [[4, 8], [rows - side, columns - side], [rows / 2 - 1, columns / 2 - 4], [0, columns - side]];
             let mut bar = OpticsBar::zeros(&renderer.optics);
             let mut loss = 0.0;

@@ -246,7 +246,7 @@ impl<'a> Judge<'a> {
         let renderer = at_depths(subject, sensor, settings)?;
         let bounds = zones::bounds(&renderer.optics.maps[0], &frame, settings)?;
         let zones = zones::zones(&frame, &bounds, settings.patch)?;
-        let wiener = local_wiener(told.1, &renderer, &Electronics::of(sensor))?;
+        let wiener = local_wiener(told.1, &renderer, &Electronics::from_sensor(sensor))?;
         Ok(Self { subject, told, sensor, pictures, settings, frame, renderer, wiener, bounds, zones })
     }
 
@@ -271,7 +271,7 @@ impl<'a> Judge<'a> {
         let Self { subject, told: (_, guide), sensor, pictures, settings, frame, renderer, wiener, zones, .. } = self;
         let maps = &renderer.optics.maps;
         let used: Vec<(usize, &Zone)> = zones.iter().enumerate().filter(|(_, z)| !z.starts.is_empty()).collect();
-        let electronics = Electronics::of(sensor);
+        let electronics = Electronics::from_sensor(sensor);
         let context = context_of(network);
         let development = Development {
             balance: Balance::from_sensor(sensor),
@@ -409,7 +409,7 @@ fn weighted(values: &[f64], shares: &[f64]) -> f64 {
 }
 
 fn row(depth_mm: f64, zone: usize, field: [f64; 2], patch_px: usize, values: &[[Judged; 3]]) -> Row {
-    let figure = |of: &dyn Fn(&[Judged; 3]) -> f64| Figure::of(&values.iter().map(of).collect::<Vec<f64>>());
+    let figure = |of: &dyn Fn(&[Judged; 3]) -> f64| Figure::from_values(&values.iter().map(of).collect::<Vec<f64>>());
     let closeness = |of: usize| Closeness {
         psnr_db: figure(&|v| v[of][0]),
         ssim: figure(&|v| v[of][1]),

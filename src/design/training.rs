@@ -495,7 +495,7 @@ impl Parts {
     fn new(task: &Task, subject: &Subject, textures: Textures, guide: Option<Guide>) -> Result<Self> {
         let (sensor, frame) = (task.sensor()?, subject.frame()?);
         let (train, density) = (&task.train, SpectralDensity::new(&sensor));
-        let electronics = Electronics::of(&sensor);
+        let electronics = Electronics::from_sensor(&sensor);
         let largest = frame.rows.min(frame.columns);
         if train.pairs.region_px > largest {
             let found = format!("{} on a sensor of {} x {}", train.pairs.region_px, frame.columns, frame.rows);

@@ -57,7 +57,7 @@ impl KernelSet {
     /// use isoplanat::{KernelRequest, KernelSet, builtin};
     ///
     /// let lens = builtin::lens("cooke_triplet")?;
-    /// let request = KernelRequest { fields: 2, rays: 1000, pitch_mm: 0.02, ..KernelRequest::of(&lens) };
+    /// let request = KernelRequest { fields: 2, rays: 1000, pitch_mm: 0.02, ..KernelRequest::for_lens(&lens) };
     /// let set = KernelSet::compute(&lens, &request)?;
     /// // On the axis white is as bright as on the axis.
     /// assert_eq!((set.radius_mm[[0, 0]], set.relative_illumination[[0, 0, 0]]), (0.0, 1.0));

@@ -132,7 +132,7 @@ fn paired(first: &Evaluation, other: &Evaluation) -> Option<f64> {
     #[expect(clippy::cast_precision_loss, reason = "a handful of distances")]
     let over = a.len() as f64;
     let one = |i: usize| a.iter().zip(&b).map(|(a, b)| a.each[i][0] - b.each[i][0]).sum::<f64>() / over;
-    let figure = Figure::of(&(0..pictures).map(one).collect::<Vec<_>>());
+    let figure = Figure::from_values(&(0..pictures).map(one).collect::<Vec<_>>());
     let half = figure.half_width(pictures);
     half.is_finite().then_some(half)
 }

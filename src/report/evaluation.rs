@@ -19,7 +19,7 @@ pub struct Figure {
 impl Figure {
     /// Mean and standard error of `values`, infinite values included; NaN where there are none.
     #[expect(clippy::cast_precision_loss, reason = "counts of pictures")]
-    pub fn of(values: &[f64]) -> Self {
+    pub fn from_values(values: &[f64]) -> Self {
         let n = values.len() as f64;
         let mean = values.iter().sum::<f64>() / n;
         let square = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
@@ -313,10 +313,10 @@ mod tests {
     /// Deviations 1, 0, −1 from 2: sample variance 1, of the mean 1/3.
     #[test]
     fn the_standard_error_is_that_of_the_mean() {
-        let figure = Figure::of(&[1.0, 2.0, 3.0]);
+        let figure = Figure::from_values(&[1.0, 2.0, 3.0]);
         assert!((figure.mean - 2.0).abs() < 1e-15 && (figure.standard_error - (1f64 / 3.0).sqrt()).abs() < 1e-15);
-        assert!(Figure::of(&[4.0]).standard_error.is_nan() && Figure::of(&[]).mean.is_nan());
-        assert_eq!(Figure::of(&[f64::INFINITY; 2]).mean, f64::INFINITY);
+        assert!(Figure::from_values(&[4.0]).standard_error.is_nan() && Figure::from_values(&[]).mean.is_nan());
+        assert_eq!(Figure::from_values(&[f64::INFINITY; 2]).mean, f64::INFINITY);
     }
 
     #[test]

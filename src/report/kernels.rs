@@ -46,7 +46,7 @@ pub struct KernelRequest {
 impl KernelRequest {
     /// Kernels of `lens` as its file states it: its distance, wavelengths and pixels, five field points, 16384 rays each, within the memory that this process can
     /// get.
-    pub fn of(lens: &Lens) -> Self {
+    pub fn for_lens(lens: &Lens) -> Self {
         let (wavelength_nm, weights) = lens.wavelengths.shares().unzip();
         Self {
             depth_mm: vec![1.0 / lens.object_vergence],
@@ -253,7 +253,7 @@ mod tests {
     #[test]
     fn cotangents_of_kernels_come_back_as_derivatives() {
         let lens = builtin::lens("cooke_triplet").expect("shipped");
-        let base = KernelRequest::of(&lens);
+        let base = KernelRequest::for_lens(&lens);
         let request = KernelRequest { size: Some(31), pitch_mm: 0.01, rays: 400, ..base };
         let quadrature = Quadrature { nm: vec![486.1, 656.3], weight: vec![vec![1.0, 0.0], vec![0.3, 0.7]] };
         let plan = KernelPlan::new(&lens, &request, quadrature, Some(&[0.0, 12.0])).expect("traces");

@@ -53,8 +53,9 @@ pub fn against(run: &Evaluation, other: &Evaluation) -> Result<Vec<Difference>> 
     let pairs = run.rows.iter().zip(&other.rows);
     Ok(pairs
         .map(|(a, b)| {
-            let figure =
-                |k: usize| Figure::of(&a.each.iter().zip(&b.each).map(|(a, b)| a[k] - b[k]).collect::<Vec<f64>>());
+            let figure = |k: usize| {
+                Figure::from_values(&a.each.iter().zip(&b.each).map(|(a, b)| a[k] - b[k]).collect::<Vec<f64>>())
+            };
             let (pictures, psnr_db, ssim) = (a.each.len(), figure(0), figure(1));
             Difference {
                 depth_mm: a.depth_mm,

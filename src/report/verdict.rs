@@ -56,7 +56,7 @@ pub struct Verdict {
 
 impl Verdict {
     /// A verdict for every distance, from the mean over all zones.
-    pub fn of(evaluation: &Evaluation) -> Vec<Self> {
+    pub fn from_evaluation(evaluation: &Evaluation) -> Vec<Self> {
         let mut rows: Vec<&Row> = Vec::new();
         for row in evaluation.rows.iter().filter(|r| r.zone == 0) {
             // The mean to the largest angle is a distance's last row.

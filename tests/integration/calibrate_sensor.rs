@@ -36,7 +36,7 @@ fn frame(path: &Path, level: f64, seed: u64) {
         let far = (r as f64 + 0.5 - 120.0).hypot(c as f64 + 0.5 - 160.0) / 200.0;
         level * sensor.neutral_response[sensor.cfa.channel(r, c)] * (1.0 - 0.4 * far * far)
     });
-    let noisy = Noise::of(&sensor).apply(light.view(), standard_normal(seed, SIZE).view());
+    let noisy = Noise::from_sensor(&sensor).apply(light.view(), standard_normal(seed, SIZE).view());
     let dn = noisy.mapv(|y| {
         (sensor.black_level + y * (sensor.white_level - sensor.black_level)).round().clamp(0.0, 15000.0) as u16
     });

@@ -38,7 +38,7 @@ fn guide(inputs: Inputs) -> Guide {
     let (lens, sensor) = (builtin::lens("two_element").expect("shipped"), Sensor::generic());
     let density = SpectralDensity::new(&sensor);
     let renderer = Renderer::planned(&lens, &frame(), &density, &[lens.object_vergence], Settings::TRAINING);
-    Guide::new(inputs, &renderer.expect("traces"), &Electronics::of(&sensor)).expect("filters")
+    Guide::new(inputs, &renderer.expect("traces"), &Electronics::from_sensor(&sensor)).expect("filters")
 }
 
 /// A network that is no identity any more and looks at all its channels.

@@ -345,7 +345,7 @@ fn spoilt_files_are_read_or_refused() {
             files
                 .iter()
                 .filter(|p| p.is_file())
-                .map(|p| (Form::of(p).expect("a form"), std::fs::read(p).expect("reads"))),
+                .map(|p| (Form::from_path(p).expect("a form"), std::fs::read(p).expect("reads"))),
         );
     }
     // Lines that a Zemax file may have anywhere.

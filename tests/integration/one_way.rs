@@ -142,7 +142,7 @@ fn a_region_alone_is_the_same_part_of_the_whole() {
         let settings = Settings { samples, cells, ..QUICK };
         let renderer = Renderer::planned(&lens, &frame, &density(), &[1e-3], settings).expect("plans");
         let scene = street(1e-3);
-        let channels = Channels::of(&scene);
+        let channels = Channels::from_scene(&scene);
         let all = renderer.picture::<f32>(&scene, 0, whole(&frame), &channels, &|_| ()).0;
         let most = all.iter().copied().fold(0.0, f32::max);
         for (row, col, rows, cols) in [(0, 0, 32, 32), (70, 113, 50, 61), (219, 0, 1, 320), (30, 319, 100, 1)] {
@@ -167,7 +167,7 @@ fn the_number_of_threads_changes_no_bit() {
     let run = |threads: usize| {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("starts").install(|| {
             let renderer = Renderer::planned(&lens, &frame, &density(), &[1e-3, 2e-3], QUICK).expect("plans");
-            let image = renderer.picture::<f32>(&scene, 0, whole(&frame), &Channels::of(&scene), &|_| ()).0;
+            let image = renderer.picture::<f32>(&scene, 0, whole(&frame), &Channels::from_scene(&scene), &|_| ()).0;
             let region = Region { row: 33, col: 150, rows: 64, cols: 70 };
             let recorded = renderer.record::<f32>(&scene, 0, region);
             let bits: Vec<u64> = gradient(&renderer, &lens, &pulled(&renderer, &scene, &recorded))
@@ -196,7 +196,7 @@ fn grey_and_black_scenes_are_the_full_computation() {
     let of = |texture: Array3<f32>| {
         let scene = Plane { texture, ..coloured.clone() };
         let rendered = renderer.record::<f32>(&scene, 0, region);
-        let (lit, sources) = (Channels::of(&scene).lit.len(), Channels::of(&scene).sources());
+        let (lit, sources) = (Channels::from_scene(&scene).lit.len(), Channels::from_scene(&scene).sources());
         let g = gradient(&renderer, &lens, &pulled(&renderer, &scene, &rendered));
         (rendered.image, rendered.truth, g, (lit, sources))
     };
@@ -263,7 +263,7 @@ fn a_pinhole_darkens_as_the_fourth_power_of_the_cosine() {
         }
         let white =
             Plane { texture: Array3::ones((1, 2, 2)), texels_per_slope: 1.0, axis_texel: [1.0; 2], vergence: 0.0 };
-        let image = renderer.picture::<f64>(&white, 0, whole(&frame), &Channels::of(&white), &|_| ()).0;
+        let image = renderer.picture::<f64>(&white, 0, whole(&frame), &Channels::from_scene(&white), &|_| ()).0;
         let mut worst = 0.0f64;
         for ((_, i, j), v) in image.indexed_iter() {
             let radius = frame.radius_mm(j as f64 + 0.5, i as f64 + 0.5);

@@ -105,7 +105,7 @@ fn kinds() -> Vec<(&'static str, Plane, Channels, bool)> {
     vec![
         ("grey", grey.clone(), Channels::all(), false),
         ("one lit channel", red.clone(), Channels::all(), false),
-        ("narrow lit field", narrow.clone(), Channels::of(&narrow), true),
+        ("narrow lit field", narrow.clone(), Channels::from_scene(&narrow), true),
         ("one channel, narrow field", both.clone(), Channels::all(), true),
     ]
 }

@@ -37,7 +37,7 @@ fn wide_blurs_keep_their_light() {
             [Settings::DESIGN, Settings::TRAINING, Settings { outside: 1e-3, cells: 64, ..Settings::TRAINING }]
         {
             let renderer = Renderer::planned(&lens, &frame, &density, &[v], settings).expect("plans");
-            let (image, _) = renderer.picture::<f32>(&scene, 0, whole, &Channels::of(&scene), &|_| {});
+            let (image, _) = renderer.picture::<f32>(&scene, 0, whole, &Channels::from_scene(&scene), &|_| {});
             let light: Array3<f32> = renderer.light.over(&frame, whole, &[0, 1, 2]);
             let mean = |a: &Array3<f32>| a.iter().map(|v| f64::from(*v)).sum::<f64>() / a.len() as f64;
             let share = mean(&image) / (0.45 * mean(&light));

@@ -51,7 +51,7 @@ pub struct Apart {
 
 impl Apart {
     /// As a child of `helper`, within what the machine has and at most 8 GiB of address space and one more for each thread, ten minutes a tile.
-    pub fn of(helper: Helper) -> Self {
+    pub fn new(helper: Helper) -> Self {
         Self { helper, memory_bytes: None, time: TIME, hint: "" }
     }
 }

@@ -35,7 +35,7 @@ impl Orientation {
 
     /// The picture turned upright, `[channel, row, col]`.
     pub(crate) fn apply(self, image: Array3<f32>) -> Array3<f32> {
-        let Some(Turn { transpose, flip_rows, flip_columns }) = Turn::of(self.0) else { return image };
+        let Some(Turn { transpose, flip_rows, flip_columns }) = Turn::from_exif(self.0) else { return image };
         let (channels, rows, columns) = image.dim();
         let mut samples = if image.is_standard_layout() {
             image.into_raw_vec_and_offset().0

@@ -72,7 +72,7 @@ pub fn signal(irradiance: ArrayView2<'_, f32>, sensor: &Sensor, exposure: f64) -
 pub fn expose(signal: ArrayView2<'_, f32>, sensor: &Sensor, seed: Option<u64>) -> Array2<u16> {
     match seed {
         Some(seed) => {
-            let noisy = Noise::of(sensor).apply(signal, standard_normal::<f32>(seed, signal.dim()).view());
+            let noisy = Noise::from_sensor(sensor).apply(signal, standard_normal::<f32>(seed, signal.dim()).view());
             quantise(noisy.view(), sensor)
         }
         None => quantise(signal, sensor),
@@ -128,7 +128,7 @@ pub fn capture(
     // Noises scale with the gain of each pixel's channel.
     let variance = rendered.variance.index_axis(ndarray::Axis(0), 0).mapv(f32::sqrt);
     let render_noise = root_mean_square(signal(variance.view(), sensor, exposure).iter().copied());
-    let model = Noise::of(sensor);
+    let model = Noise::from_sensor(sensor);
     let sensor_noise = root_mean_square(clean.iter().map(|y| model.sigma(*y)));
     Ok(Capture { dn, clean, render_noise, sensor_noise, rays: rendered.rays, seconds: rendered.seconds })
 }

@@ -27,7 +27,7 @@ pub struct Turn {
 
 impl Turn {
     /// Of Exif's orientation (tag 0x0112); `None` where the picture stands upright as it is.
-    pub fn of(orientation: u8) -> Option<Self> {
+    pub fn from_exif(orientation: u8) -> Option<Self> {
         // 2 mirrors left–right, 3 turns by 180°, 4 mirrors top–bottom, 5 transposes, 6 turns clockwise to stand upright, 7 transposes on
         // the other diagonal, 8 turns counterclockwise.
         let (transpose, flip_rows, flip_columns) = match orientation {

@@ -42,7 +42,7 @@ impl Guide {
     /// What `inputs` name, for the lens that `renderer` holds and the noise of `electronics`.
     ///
     /// # Errors
-    /// As [`Filters::of`].
+    /// As [`Filters::compute`].
     pub fn new(inputs: Inputs, renderer: &Renderer, electronics: &Electronics) -> Result<Self> {
         Self::from_parts(inputs, &renderer.plan.frame, Facts::of(inputs, renderer, electronics)?)
     }

@@ -50,7 +50,7 @@ impl Base {
 
     /// This one for a network that sees `inputs`; where none of them is a filtered capture there is nothing to choose, and files say nothing.
     #[must_use]
-    pub fn of(self, inputs: Inputs) -> Self {
+    pub fn for_inputs(self, inputs: Inputs) -> Self {
         if inputs.banks() == 0 { Self::default() } else { self }
     }
 
@@ -95,7 +95,7 @@ impl UnetConfig {
     /// The same network, fresh, that sees `inputs`.
     #[must_use]
     pub fn seeing(self, inputs: Inputs) -> Self {
-        Self { inputs, base: Base::NEW.of(inputs), ..self }
+        Self { inputs, base: Base::NEW.for_inputs(inputs), ..self }
     }
 
     /// Refuses sizes that are no network or too large to train.

@@ -98,7 +98,7 @@ impl Form {
     ///
     /// # Errors
     /// Another ending.
-    pub fn of(path: &Path) -> Result<Self> {
+    pub fn from_path(path: &Path) -> Result<Self> {
         let ending = path.extension().map_or_else(String::new, |e| e.to_string_lossy().to_ascii_lowercase());
         let found = FORMS.iter().find(|(e, _)| *e == ending).map(|(_, form)| *form);
         found.ok_or_else(|| {
@@ -122,7 +122,7 @@ pub fn load(path: &Path, glasses: &Glasses) -> Result<Imported> {
 /// As [`load`]; a configuration that the file does not have.
 pub fn load_as(path: &Path, glasses: &Glasses, reading: Reading) -> Result<Imported> {
     // A lens without an ending is TOML, as it always was.
-    let form = if path.extension().is_none() { Form::Toml } else { Form::of(path)? };
+    let form = if path.extension().is_none() { Form::Toml } else { Form::from_path(path)? };
     let file = path.display().to_string();
     let bytes = isoplanat_base::atomic::read_bounded(path, LARGEST)?;
     if form == Form::Toml {

@@ -75,7 +75,7 @@ pub(crate) fn photograph(
     let bar = Bar::new(&format!("camera: {}", unseen.name));
     let mut camera = |network: bool| -> Result<Array3<f32>> {
         let helper = Helper::current()?;
-        let apart = Apart::of(helper.clone());
+        let apart = Apart::new(helper.clone());
         let camera = Camera::with_kit_apart(kit.clone(), Steps { network, undistort: true }, options, &apart)?;
         if let Some(session) = camera.network() {
             *runtime = session.runtime().to_string();
@@ -91,7 +91,7 @@ pub(crate) fn photograph(
     // The Wiener filter in the network's place, tuned against the truth of this very capture.
     let bar = Bar::new(&format!("Wiener filter: {}", unseen.name));
     let whole = Region::whole(frame);
-    let ideal: Array3<f32> = renderer.truth(&plane, 0, whole, &Lit::of(&plane));
+    let ideal: Array3<f32> = renderer.truth(&plane, 0, whole, &Lit::from_scene(&plane));
     let development = Development {
         balance: Balance::from_sensor(sensor),
         flat_field: Some((frame, &kit.shading)),
@@ -204,7 +204,7 @@ pub(crate) fn compare(
     for (i, (row, col)) in places.into_iter().enumerate() {
         let region = Region { row: row.cast_signed(), col: col.cast_signed(), rows: side, cols: side };
         let clock = Instant::now();
-        let fast: Array3<f32> = fresh.picture(&plane, 0, region, &Lit::of(&plane), &|_| {}).0;
+        let fast: Array3<f32> = fresh.picture(&plane, 0, region, &Lit::from_scene(&plane), &|_| {}).0;
         fast_seconds += clock.elapsed().as_secs_f64();
         let clock = Instant::now();
         let how = Reference {

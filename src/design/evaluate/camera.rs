@@ -128,7 +128,7 @@ impl Camera {
         }
         let Some(renderer) = self.other.as_ref().and_then(|o| o.renderer.as_ref()) else { return Ok(None) };
         let depth = renderer.plan.depth(scene.vergence)?;
-        let (irradiance, _) = renderer.picture(&scene, depth, patch.region, &Channels::of(&scene), &|_| {});
+        let (irradiance, _) = renderer.picture(&scene, depth, patch.region, &Channels::from_scene(&scene), &|_| {});
         Ok(Some(Image { irradiance, mosaic: None }))
     }
 }

@@ -39,7 +39,7 @@ pub fn measured(
         through: None,
     };
     let renderer = at_depths(&subject, sensor, &evaluated)?;
-    let electronics = Electronics::of(sensor);
+    let electronics = Electronics::from_sensor(sensor);
     let by_rays = Camera::of(&subject, sensor, &renderer, &evaluated)?;
     let context = context_of(network);
     let behind = Behind { renderer: &renderer, electronics: &electronics, network, guide, wiener: None, context };

@@ -58,7 +58,7 @@ impl Judge<'_> {
         goes_on: &mut dyn FnMut() -> bool,
     ) -> Result<Reconstructor> {
         let (network, guide) = self.told;
-        let electronics = Electronics::of(self.sensor);
+        let electronics = Electronics::from_sensor(self.sensor);
         let multiple = network.config().multiple().max(STEP);
         let room = self.frame.rows.min(self.frame.columns) / multiple * multiple;
         let side = how.side.next_multiple_of(multiple).min(room);

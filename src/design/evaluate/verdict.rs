@@ -67,5 +67,5 @@ pub fn verdicts(
     };
     let settings = settings(depths_mm).of_pictures(&task.pictures);
     let (evaluation, _) = evaluate(subject, told, &task.sensor()?, &held_out(task)?, &settings, false, progress)?;
-    Ok(Verdict::of(&evaluation))
+    Ok(Verdict::from_evaluation(&evaluation))
 }

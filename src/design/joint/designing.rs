@@ -285,7 +285,7 @@ impl Designing {
         if task.lens.freeze {
             task.pictures.diffraction = bending::settled(&task, &problem.lens, &textures, depths_mm)?;
         }
-        let stage = Stage::new(&scenery, &problem, network, JointSettings::of(&task)?)?;
+        let stage = Stage::new(&scenery, &problem, network, JointSettings::from_task(&task)?)?;
         let fill = |inside: &Path| {
             prescription::save(&prepared.start, &inside.join(START))?;
             prescription::save(&problem.lens, &inside.join(FIRST))?;
@@ -322,7 +322,7 @@ impl Designing {
         let mut problem = task.problem(&start, state.seen, MARKER)?;
         problem.lens = first;
         let scenery = Scenery { textures: &textures, sensor: &sensor, frame, seed: task.seed };
-        let mut stage = Stage::new(&scenery, &problem, network, JointSettings::of(&task)?)?;
+        let mut stage = Stage::new(&scenery, &problem, network, JointSettings::from_task(&task)?)?;
         stage.restore(&scenery, &state)?;
         // A kill between two renames leaves the lens of the checkpoint before, or its filters.
         if Bound::there(folder).ok() != Some(bound(&stage)?.0) {

@@ -290,7 +290,8 @@ mod tests {
         let (textures, sensor) = (Textures::built_in(3, 3, 400), Sensor::generic());
         let held_out = task.held_out().expect("built in");
         let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&lens).expect("valid"), seed: 4 };
-        let settings = JointSettings { settings: Some(SETTINGS), ..JointSettings::of(&task).expect("has a length") };
+        let settings =
+            JointSettings { settings: Some(SETTINGS), ..JointSettings::from_task(&task).expect("has a length") };
         let run = |steps: u64| {
             let length = crate::design::schedule::Length::Steps(steps);
             let settings = JointSettings { length, ..settings.clone() };

@@ -178,7 +178,7 @@ pub fn validate(
     count: usize,
     settings: Settings,
 ) -> Result<Entry> {
-    let (density, electronics) = (SpectralDensity::new(scenery.sensor), Electronics::of(scenery.sensor));
+    let (density, electronics) = (SpectralDensity::new(scenery.sensor), Electronics::from_sensor(scenery.sensor));
     let renderer = Renderer::planned(lens, &scenery.frame, &density, &[lens.object_vergence], settings)?;
     let places = Places::new(&scenery.frame, patch, Spread::Area);
     let (network, guide) = told;

@@ -91,7 +91,7 @@ impl Stage {
     ) -> Result<Self> {
         let lens = &problem.lens;
         let density = SpectralDensity::new(scenery.sensor);
-        let electronics = Electronics::of(scenery.sensor);
+        let electronics = Electronics::from_sensor(scenery.sensor);
         let own = [lens.object_vergence];
         let vergences = if settings.vergences.is_empty() { own.to_vec() } else { settings.vergences.clone() };
         let diffraction = settings.diffraction.stated();

@@ -53,7 +53,7 @@ impl JointSettings {
     ///
     /// # Errors
     /// As [`Task::length`].
-    pub fn of(task: &Task) -> Result<Self> {
+    pub fn from_task(task: &Task) -> Result<Self> {
         let rate = if task.lens.steps_by == Steps::Rays { 1e-3 * task.lens.rate_um } else { task.lens.rate };
         Ok(Self {
             length: task.length()?,

@@ -53,7 +53,7 @@ fn gradient_agrees(inputs: Inputs, tolerances: Option<&Tolerances>) {
     let textures = Textures::built_in(3, 5, 400);
     let v = lens.object_vergence;
     let renderer = Renderer::planned(&lens, &frame, &SpectralDensity::new(&sensor), &[v], SETTINGS).expect("plans");
-    let electronics = Electronics::of(&sensor);
+    let electronics = Electronics::from_sensor(&sensor);
     let guide = Guide::new(inputs, &renderer, &electronics).expect("filters");
     let mut net = network(8, inputs, 5, Compute::Cpu).expect("valid");
     let mut rng = fastrand::Rng::with_seed(2);
@@ -117,7 +117,7 @@ fn gradient_agrees(inputs: Inputs, tolerances: Option<&Tolerances>) {
 fn settings(steps: u64, patch: usize) -> JointSettings {
     let mut task = task();
     (task.pictures.patch_px, task.pictures.batch, task.budget.steps) = (patch, 1, Some(1));
-    JointSettings { length: Length::Steps(steps), ..JointSettings::of(&task).expect("has a length") }
+    JointSettings { length: Length::Steps(steps), ..JointSettings::from_task(&task).expect("has a length") }
 }
 
 /// A stage gives the same bits again, and the lens moves.
@@ -314,7 +314,7 @@ fn a_scene_without_light_leaves_the_lens_alone() {
     let lens = problem.lens.clone();
     let renderer =
         Renderer::planned(&lens, &frame, &SpectralDensity::new(&Sensor::generic()), &[v], SETTINGS).expect("plans");
-    let electronics = Electronics { noise: Noise::NONE, ..Electronics::of(&Sensor::generic()) };
+    let electronics = Electronics { noise: Noise::NONE, ..Electronics::from_sensor(&Sensor::generic()) };
     let textures = Textures::built_in(3, 1, 400);
     let mut patch = textures.draw(&mut fastrand::Rng::with_seed(2), &frame, &renderer.optics.maps[0], 32);
     patch.scene.texture.fill(0.0);

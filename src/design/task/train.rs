@@ -196,7 +196,7 @@ impl TrainTask {
             scales: self.network.scales,
             inputs: self.network.inputs,
             blocks: self.network.blocks,
-            base: self.network.base.of(self.network.inputs),
+            base: self.network.base.for_inputs(self.network.inputs),
         }
     }
 

@@ -46,7 +46,7 @@ pub struct Pair {
 pub fn render_pair(renderer: &Renderer, patch: &Patch) -> Result<Pair> {
     let depth = renderer.plan.depth(patch.scene.vergence)?;
     let (frame, region) = (&renderer.plan.frame, patch.region);
-    let channels = Channels::of(&patch.scene);
+    let channels = Channels::from_scene(&patch.scene);
     let (image, _) = renderer.picture(&patch.scene, depth, region, &channels, &|_| {});
     let illumination = renderer.light.over(frame, region, &[0, 1, 2]);
     Ok(Pair { image, illumination, truth: renderer.truth(&patch.scene, depth, region, &channels), region })

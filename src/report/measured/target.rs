@@ -189,7 +189,7 @@ impl<'a> Target<'a> {
             let white = light.white(self.frame.radius_mm(at[0], at[1]));
             *v = if white > 0.0 { (f64::from(*v) / white) as f32 } else { 0.0 };
         });
-        let green = EdgeOptions { region: None, sites: Sites::of(sensor.cfa, 1), range: None };
+        let green = EdgeOptions { region: None, sites: Sites::from_cfa(sensor.cfa, 1), range: None };
         let whole = |options: EdgeOptions, plane: ndarray::ArrayView2<'_, f32>| {
             let all = Rectangle::whole(plane.dim());
             measure(plane, &EdgeOptions { region: Some(all), ..options }).map_err(|e| e.to_string())

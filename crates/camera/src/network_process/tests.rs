@@ -119,7 +119,7 @@ fn children_that_fail_hang_or_babble_become_one_sentence() {
     for (name, script, said) in scripts {
         let program = dir.path().join(name);
         crate::child::tests::script(&program, &script);
-        let apart = Apart { time: Duration::from_millis(500), hint: "; --more", ..Apart::of(Helper::at(program)) };
+        let apart = Apart { time: Duration::from_millis(500), hint: "; --more", ..Apart::new(Helper::at(program)) };
         let network = Network::open(&[0; 1 << 20], Path::new("m.onnx"), &Options::default(), Some(&apart));
         // More than a pipe holds, to a child that does not read.
         let large = Array4::<f32>::zeros((1, 3, 256, 256));
@@ -145,7 +145,7 @@ fn children_that_fail_hang_or_babble_become_one_sentence() {
     let program = dir.path().join("idle");
     crate::child::tests::script(&program, &format!("echo '{opened}'"));
     let network =
-        Network::open(&[0; 8], Path::new("m.onnx"), &Options::default(), Some(&Apart::of(Helper::at(program))));
+        Network::open(&[0; 8], Path::new("m.onnx"), &Options::default(), Some(&Apart::new(Helper::at(program))));
     std::thread::sleep(Duration::from_millis(300));
     let clock = Instant::now();
     let error = network.expect("opens").run(Array4::zeros((1, 3, 4, 4)).view()).expect_err("gone");

@@ -118,7 +118,7 @@ fn camera(arguments: &Arguments, kit: Option<Kit>, means: &Means) -> Result<Came
         memory_bytes: arguments.running.network_memory.map(|mib| mib << 20),
         time: Duration::from_secs_f64(arguments.running.tile_seconds),
         hint: "; --network-memory and --tile-seconds set them",
-        ..Apart::of(means.helper.clone())
+        ..Apart::new(means.helper.clone())
     };
     let camera = Camera::with_kit_apart(kit, steps, &options, &apart)?;
     let camera = camera.without(arguments.corrections.glare.unwrap_or_default())?;

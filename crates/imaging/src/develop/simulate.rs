@@ -27,8 +27,8 @@ pub struct Electronics {
 
 impl Electronics {
     /// Of `sensor`.
-    pub fn of(sensor: &Sensor) -> Self {
-        Self { cfa: sensor.cfa, noise: Noise::of(sensor), neutral: sensor.neutral_response }
+    pub fn from_sensor(sensor: &Sensor) -> Self {
+        Self { cfa: sensor.cfa, noise: Noise::from_sensor(sensor), neutral: sensor.neutral_response }
     }
 
     /// As the first pixel of `region` sees them.

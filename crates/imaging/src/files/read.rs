@@ -231,7 +231,7 @@ fn planes<S: Copy + Sync, T: Copy + Default + Send + Sync>(
 
 /// A picture turned as Exif's orientation says.
 fn upright<T: Clone>(mut image: Array3<T>, orientation: u8) -> Array3<T> {
-    let Some(Turn { transpose, flip_rows, flip_columns }) = Turn::of(orientation) else { return image };
+    let Some(Turn { transpose, flip_rows, flip_columns }) = Turn::from_exif(orientation) else { return image };
     if transpose {
         image.swap_axes(1, 2);
     }

@@ -49,13 +49,13 @@ impl Facts {
     /// What `inputs` need, of the lens that `renderer` holds over all its distances and for the noise of `electronics`.
     ///
     /// # Errors
-    /// As [`Filters::of`].
+    /// As [`Filters::compute`].
     pub(super) fn of(inputs: Inputs, renderer: &Renderer, electronics: &Electronics) -> Result<Self> {
         let wanted = [inputs.wiener, inputs.levels, inputs.levels];
         let noise: Vec<f64> = NOISE.iter().zip(wanted).filter_map(|(n, wanted)| wanted.then_some(*n)).collect();
-        let mut banks = if noise.is_empty() { Vec::new() } else { Filters::of(renderer, electronics, &noise)? };
+        let mut banks = if noise.is_empty() { Vec::new() } else { Filters::compute(renderer, electronics, &noise)? };
         let levels = if inputs.levels { Some(banks.split_off(banks.len() - 2)) } else { None };
-        let spread = inputs.psf.then(|| Spread::of(renderer));
+        let spread = inputs.psf.then(|| Spread::compute(renderer));
         let known = !banks.is_empty() || levels.is_some() || spread.is_some();
         let vergences = if known { renderer.plan.depths.iter().map(|d| d.vergence).collect() } else { Vec::new() };
         let levels = levels.and_then(|two| <[Filters; 2]>::try_from(two).ok()).map(Box::new);

@@ -78,7 +78,7 @@ impl Filters {
     ///
     /// # Errors
     /// A lens whose filters would not fit into memory.
-    pub fn of(renderer: &Renderer, electronics: &Electronics, noise: &[f64]) -> Result<Vec<Self>> {
+    pub fn compute(renderer: &Renderer, electronics: &Electronics, noise: &[f64]) -> Result<Vec<Self>> {
         let frame = &renderer.plan.frame;
         let whole = Region::whole(frame);
         let grid = NodeGrid::uniform(whole, frame.rows.max(frame.columns).div_ceil(SPACES));

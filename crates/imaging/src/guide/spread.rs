@@ -34,7 +34,7 @@ pub struct Spread {
 
 impl Spread {
     /// Of the lens that `renderer` holds, over all its distances.
-    pub fn of(renderer: &Renderer) -> Self {
+    pub fn compute(renderer: &Renderer) -> Self {
         let (optics, plan) = (&renderer.optics, &renderer.plan);
         let frame = &plan.frame;
         let far = frame.max_radius_mm();

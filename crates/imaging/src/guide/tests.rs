@@ -189,7 +189,7 @@ fn filters_of_a_lens_undo_its_blur() {
     let density = SpectralDensity::new(&sensor);
     let renderer =
         Renderer::planned(&lens, &frame, &density, &[lens.object_vergence], Settings::TRAINING).expect("traces");
-    let quiet = Electronics { noise: Noise { shot: 1e-6, read: 1e-4 }, ..Electronics::of(&sensor) };
+    let quiet = Electronics { noise: Noise { shot: 1e-6, read: 1e-4 }, ..Electronics::from_sensor(&sensor) };
     let guide = Guide::new(BOTH, &renderer, &quiet).expect("filters");
     let scene = crate::plane::Plane {
         texture: generate(SceneKind::Facades, 3, 300, 400),
@@ -198,7 +198,7 @@ fn filters_of_a_lens_undo_its_blur() {
         vergence: lens.object_vergence,
     };
     let region = Region { row: 0, col: 0, rows: 240, cols: 320 };
-    let channels = Channels::of(&scene);
+    let channels = Channels::from_scene(&scene);
     let (mut image, _) = renderer.picture::<f32>(&scene, 0, region, &channels, &|_| {});
     image /= &renderer.light.over::<f32>(&frame, region, &[0, 1, 2]);
     let truth: Array3<f32> = renderer.truth(&scene, 0, region, &channels);
@@ -271,7 +271,7 @@ fn extremes_stay_within_the_stated_bound() {
     let lens = builtin::lens("two_element").expect("shipped");
     let frame = Frame::centred(240, 160, 0.06).expect("valid");
     let (sensor, whole) = (Sensor::generic(), Region { row: 0, col: 0, rows: 160, cols: 240 });
-    let electronics = Electronics::of(&sensor);
+    let electronics = Electronics::from_sensor(&sensor);
     let noise = electronics.noise;
     let noisier = |factor: f64| Electronics {
         noise: Noise { shot: noise.shot * factor * factor, read: noise.read * factor },
@@ -290,7 +290,7 @@ fn extremes_stay_within_the_stated_bound() {
         ("wider than a filter", &far, &fine, 1.0),
         ("no noise", &lens, &frame, 0.0),
     ] {
-        let banks = Filters::of(&renderer(lens, frame, Settings::TRAINING), &noisier(factor), &[1.0]).expect(what);
+        let banks = Filters::compute(&renderer(lens, frame, Settings::TRAINING), &noisier(factor), &[1.0]).expect(what);
         let filters = &banks[0];
         let bound = filters.overshoot();
         let white = filters.over(Array3::ones((3, 160, 240)).view(), whole, whole);
@@ -314,7 +314,7 @@ fn darkness_has_no_filter() {
         let filter = filters::Spectra::of(&fft, 64, &[Array2::zeros((9, 9))]).wiener(&fft, nsr, 12);
         assert_eq!((filter[[12, 12]], filter.iter().map(|v| v.abs()).sum::<f64>()), (1.0, 1.0));
     }
-    assert_eq!(filters::nsr(&Electronics::of(&Sensor::generic()), 1, 0.0, 1.0), 10.0);
+    assert_eq!(filters::nsr(&Electronics::from_sensor(&Sensor::generic()), 1, 0.0, 1.0), 10.0);
 }
 
 #[test]
@@ -337,7 +337,8 @@ fn inputs_have_names() {
 fn spreads_are_the_moments_of_the_kernels() {
     let lens = builtin::lens("two_element").expect("shipped");
     let frame = Frame::centred(320, 240, 0.06).and_then(|f| f.with_axis([20.0, 30.0])).expect("valid");
-    let (renderer, electronics) = (renderer(&lens, &frame, Settings::TRAINING), Electronics::of(&Sensor::generic()));
+    let (renderer, electronics) =
+        (renderer(&lens, &frame, Settings::TRAINING), Electronics::from_sensor(&Sensor::generic()));
     let guide = Guide::new(ALL, &renderer, &electronics).expect("facts");
     let grid = NodeGrid { row_knots: vec![30, 150, 239], col_knots: vec![20, 90, 319] };
     let kernels: Array4<f64> = renderer.pixel_kernels(0, &grid);

@@ -27,7 +27,7 @@ fn shares(base: Settings) -> Vec<f64> {
 
 /// What all of `scenes` hold that light can bring to the frame.
 fn of_all(scenes: &[Plane], light: &Optics, frame: &Frame, first: &DepthPlan) -> Needs {
-    let each = scenes.iter().map(|s| Needs::of(s, &light.maps[0], frame, first.reach_px()));
+    let each = scenes.iter().map(|s| Needs::compute(s, &light.maps[0], frame, first.reach_px()));
     each.reduce(Needs::and).expect("at least one scene")
 }
 

@@ -23,7 +23,7 @@ pub struct Channels {
 
 impl Channels {
     /// Those of `scene` with light.
-    pub fn of(scene: &Plane) -> Self {
+    pub fn from_scene(scene: &Plane) -> Self {
         let last = scene.texture.len_of(Axis(0)) - 1;
         let of = |c: usize| scene.texture.index_axis(Axis(0), c.min(last));
         let lit: Vec<usize> = (0..3).filter(|c| of(*c).iter().any(|v| *v != 0.0)).collect();
@@ -121,9 +121,9 @@ impl Needs {
     }
 
     /// Looks at `scene` through a lens with `map` over the frame and `margin` pixels around it.
-    pub fn of(scene: &Plane, map: &SensorMap, frame: &Frame, margin: usize) -> Self {
+    pub fn compute(scene: &Plane, map: &SensorMap, frame: &Frame, margin: usize) -> Self {
         let warped = WarpedScene::new(scene, map, frame, (1, 1), vec![0]);
-        let channels = Channels::of(scene);
+        let channels = Channels::from_scene(scene);
         let whole = Region::whole(frame);
         let source = whole.grown(margin);
         if channels.lit.is_empty() {

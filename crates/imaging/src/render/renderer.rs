@@ -204,7 +204,7 @@ impl Renderer {
     /// Renders `region` with all that [`Self::vjp`] needs: the spectra of its source and kernels stay in memory. What the scene
     /// does not need is left out: channels without light, sources that are the same, blocks of the region that see no light.
     pub fn record<T: Real>(&self, scene: &Plane, depth: usize, region: Region) -> Rendered<T> {
-        self.record_with(scene, depth, region, Channels::of(scene), false)
+        self.record_with(scene, depth, region, Channels::from_scene(scene), false)
     }
 
     /// [`Self::record`] of given channels, and where `dark` is set of blocks without light as well: for measuring what leaving

@@ -88,7 +88,7 @@ impl ScenePlan {
             (Channels::all(), Some(part))
         } else {
             let reach = plan.depths[depth].reach_px();
-            let needs = Needs::of(scene, &self.renderer.optics.maps[depth], &plan.frame, reach);
+            let needs = Needs::compute(scene, &self.renderer.optics.maps[depth], &plan.frame, reach);
             let region = needs.reached(plan.depths[depth].reach_px(), part);
             (needs.channels, region)
         };
@@ -126,7 +126,7 @@ impl ScenePlan {
         } else {
             scene
         };
-        Ok(self.renderer.truth(scene, depth, part, &Channels::of(scene)))
+        Ok(self.renderer.truth(scene, depth, part, &Channels::from_scene(scene)))
     }
 }
 

@@ -45,7 +45,7 @@ pub struct Noise {
 
 impl Noise {
     /// The noise of a sensor.
-    pub fn of(sensor: &Sensor) -> Self {
+    pub fn from_sensor(sensor: &Sensor) -> Self {
         Self { shot: 1.0 / sensor.full_well_electrons, read: sensor.read_noise_electrons / sensor.full_well_electrons }
     }
 
@@ -120,7 +120,7 @@ mod tests {
 
     #[test]
     fn variance_follows_the_model() {
-        let noise = Noise::of(&Sensor::generic());
+        let noise = Noise::from_sensor(&Sensor::generic());
         let eps: Array2<f64> = standard_normal(1, (400, 400));
         for level in [0.0, 0.1, 0.9] {
             let noisy = noise.apply(Array2::from_elem((400, 400), level).view(), eps.view());
@@ -131,7 +131,7 @@ mod tests {
 
     #[test]
     fn apply_vjp_matches_differences_and_is_finite_at_zero() {
-        let noise = Noise::of(&Sensor::generic());
+        let noise = Noise::from_sensor(&Sensor::generic());
         for (y, e) in [(0.3, 1.2), (1e-4, -2.0), (0.9, 0.1), (-0.01, 1.5)] {
             let one = |v: f64| Array2::from_elem((1, 1), v);
             let pushed = central_difference(|h| noise.apply(one(y + h).view(), one(e).view())[[0, 0]], 1e-6);

@@ -100,7 +100,7 @@ fn known_kernels_come_back_from_mosaics() {
     let settings = Settings { reach_px: Some(5.0), knots: 5, ..Settings::default() };
     let mut edges = Edges::new(&views, &fit, SIZE, &settings).expect("corners");
     for (k, mosaic) in mosaics.iter().enumerate() {
-        let channels = (0..3).map(|c| (mosaic.view(), Sites::of(Cfa::RGGB, c))).collect();
+        let channels = (0..3).map(|c| (mosaic.view(), Sites::from_cfa(Cfa::RGGB, c))).collect();
         edges.add(k, &Pixels { channels, range: Some([f64::NEG_INFINITY, 2.0]) }).expect("levels");
     }
     let measured = edges.fit(&|_| ()).expect("fits");

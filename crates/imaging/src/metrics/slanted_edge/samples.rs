@@ -51,7 +51,7 @@ impl Sites {
     pub const ALL: Self = Self([true; 4]);
 
     /// Those that see `channel` (0 = R, 1 = G, 2 = B) behind `cfa`.
-    pub fn of(cfa: Cfa, channel: usize) -> Self {
+    pub fn from_cfa(cfa: Cfa, channel: usize) -> Self {
         Self(std::array::from_fn(|i| cfa.channel(i / 2, i % 2) == channel))
     }
 

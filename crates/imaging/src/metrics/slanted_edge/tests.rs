@@ -142,7 +142,7 @@ fn the_colours_of_a_mosaic_are_measured_at_their_own_pixels() {
     for cfa in Cfa::ALL {
         let mosaic = Array2::from_shape_fn((80, 100), |(r, c)| planes[cfa.channel(r, c)][[r, c]]);
         for (i, edge) in edges.iter().enumerate() {
-            edge.agrees(&measured(&mosaic, Sites::of(cfa, i)).expect("measured"));
+            edge.agrees(&measured(&mosaic, Sites::from_cfa(cfa, i)).expect("measured"));
         }
     }
 }

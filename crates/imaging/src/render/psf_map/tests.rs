@@ -46,11 +46,12 @@ fn filters_and_multipliers_are_the_renderers_picture() {
         let texels_per_slope = zoom / pitch_mm * lens_focal(&lens);
         let scene = Plane { texture, texels_per_slope, axis_texel: axis_px.map(|v| zoom * v), vergence };
         let whole = Region::whole(&frame);
-        let (picture, _) = renderer.picture::<f64>(&scene, 0, whole, &crate::render::Channels::of(&scene), &|_| ());
+        let (picture, _) =
+            renderer.picture::<f64>(&scene, 0, whole, &crate::render::Channels::from_scene(&scene), &|_| ());
         let (multipliers, size) = (map.multipliers().expect("on pixels"), map.kernels.dim().2);
         let half = size / 2;
         // The scene around the frame, too: its light reaches the first pixels.
-        let x: Array3<f64> = renderer.truth(&scene, 0, whole.grown(half), &crate::render::Channels::of(&scene));
+        let x: Array3<f64> = renderer.truth(&scene, 0, whole.grown(half), &crate::render::Channels::from_scene(&scene));
         let mut largest = 0.0f64;
         for c in 0..3 {
             for (i, j) in (0..frame.rows).step_by(3).flat_map(|i| (0..frame.columns).step_by(5).map(move |j| (i, j))) {

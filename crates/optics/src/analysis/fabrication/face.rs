@@ -27,7 +27,7 @@ pub enum Bend {
 
 impl Bend {
     /// Of a vertex curvature, with the glass behind or before the face.
-    pub fn of(curvature: f64, glass_behind: bool) -> Self {
+    pub fn from_curvature(curvature: f64, glass_behind: bool) -> Self {
         match curvature {
             0.0 => Self::Plane,
             c if (c > 0.0) == glass_behind => Self::Convex,
@@ -135,8 +135,8 @@ impl Face {
         let curvature = best_fit_curvature(shape, semi);
         Self {
             surface: i,
-            bend_before: glass[0].then(|| Bend::of(vertex, false)),
-            bend_behind: glass[1].then(|| Bend::of(vertex, true)),
+            bend_before: glass[0].then(|| Bend::from_curvature(vertex, false)),
+            bend_behind: glass[1].then(|| Bend::from_curvature(vertex, true)),
             radius_mm: radius(shape.curvature),
             curvature_per_mm: shape.curvature,
             vertex_curvature_per_mm: vertex,

@@ -76,9 +76,9 @@ fn the_best_fit_is_the_best() {
 
 #[test]
 fn faces_are_convex_or_concave_from_outside() {
-    assert_eq!([Bend::of(0.1, true), Bend::of(0.1, false)], [Bend::Convex, Bend::Concave]);
-    assert_eq!([Bend::of(-0.1, true), Bend::of(-0.1, false)], [Bend::Concave, Bend::Convex]);
-    assert_eq!(Bend::of(0.0, true).code(), "plane");
+    assert_eq!([Bend::from_curvature(0.1, true), Bend::from_curvature(0.1, false)], [Bend::Convex, Bend::Concave]);
+    assert_eq!([Bend::from_curvature(-0.1, true), Bend::from_curvature(-0.1, false)], [Bend::Concave, Bend::Convex]);
+    assert_eq!(Bend::from_curvature(0.0, true).code(), "plane");
     // A concave front of radius 20 asks for a tool nose below 20 mm; a convex one for none.
     let [hollow, bulging] = [-0.05, 0.05].map(|c| face(Shape::sphere(c), 4.0).tightest_concave_mm);
     assert!((hollow.expect("concave") - 20.0).abs() < 1e-9 && bulging.is_none());
