@@ -228,6 +228,35 @@ fn single_analyses_print_tables_json_arrays_and_drawings() {
     }
 }
 
+/// Fields that a lens file states are looked at, and stay in what is written.
+#[test]
+fn stated_fields_are_looked_at() {
+    let place = Workplace::new();
+    place.run("convert cooke_triplet a.zmx").done();
+    let file = std::fs::read_to_string(place.path("a.zmx")).expect("there");
+    let file = file.replace("FTYP 0 0 3 3\nXFLN 0 0 0\nYFLN 0 14 20", "FTYP 0 0 5 3\nXFLN 0 0 0 0 0\nYFLN 0 6 13 -13 20");
+    place.write("b.zmx", &file);
+    let angles = |arguments: &str| -> Vec<f64> {
+        let found = json(&place.run(&format!("spot {arguments} --rays 200 --json")).done());
+        found["fields"].as_array().expect("fields").iter().map(|f| f["angle_deg"].as_f64().expect("an angle")).collect()
+    };
+    assert_eq!(angles("b.zmx"), [0.0, 6.0, 13.0, 20.0]);
+    assert_eq!(angles("b.zmx --max-angle-deg 8"), [0.0, 2.0, 4.0, 6.0, 8.0]);
+    assert_eq!(angles("b.zmx --fields-deg 3,1"), [1.0, 3.0]);
+    place.run("optimize b.zmx -o c.zmx --iterations 2").done();
+    assert_eq!(angles("c.zmx"), [0.0, 6.0, 13.0, 20.0]);
+    place.run("convert c.zmx d.seq").done();
+    assert_eq!(angles("d.seq"), [0.0, 6.0, 13.0, 20.0]);
+    place.run("convert d.seq e.toml").done();
+    let text = std::fs::read_to_string(place.path("e.toml")).expect("there");
+    assert!(text.contains("angles_deg = [") && text.contains("its sensor is assumed"), "{text}");
+    // On a sensor that ends before them fields go as far as it does.
+    let place_of = |key: &str| text.lines().find(|l| l.starts_with(key)).expect("a key").to_owned();
+    place.write("f.toml", text.replace(&place_of("pitch_um"), "pitch_um = 5.0"));
+    let seen = angles("f.toml");
+    assert!(seen.len() == 5 && seen[4] < 15.0, "{seen:?}");
+}
+
 #[test]
 fn bad_input_of_reports_is_named() {
     let place = Workplace::new();
