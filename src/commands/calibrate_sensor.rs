@@ -4,7 +4,7 @@ use std::fmt;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use isoplanat::calibrate::shading::{self, MeasuredShading};
+use isoplanat::calibrate::shading::{self, MeasuredShading, Rings};
 use isoplanat::calibrate::transfer::{Frames, Transfer, transfer};
 use isoplanat::deploy::child::Helper;
 use isoplanat::deploy::raw::{RawCapture, RawPixels};
@@ -14,9 +14,9 @@ use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::cfa::Cfa;
 use isoplanat::math::memory::product;
 use isoplanat::report::plot::{Mark, Plot, Series};
-use isoplanat::report::table::{Table, significant};
+use isoplanat::report::table::{Table, numbered, significant};
 use isoplanat::{Error, Result};
-use serde_json::json;
+use serde::Serialize;
 
 use crate::output::Common;
 use crate::progress::Bar;
@@ -252,6 +252,36 @@ struct Listing<'a> {
     shading: Option<&'a MeasuredShading>,
 }
 
+/// The same for machines.
+#[derive(Serialize)]
+struct Figures<'a> {
+    camera: &'a str,
+    iso: Option<f64>,
+    black_dn: f64,
+    black_error_dn: f64,
+    blacks_dn: [f64; 4],
+    white_dn: f64,
+    read_noise_dn: f64,
+    read_noise_by_flats_dn: f64,
+    read_noise_electrons: f64,
+    electrons_per_dn: f64,
+    electrons_per_dn_error: f64,
+    electrons_per_dn_rgb: [f64; 3],
+    full_well_electrons: f64,
+    tiles: usize,
+    scatter: f64,
+    shading: Option<Shading<'a>>,
+    warnings: Vec<String>,
+}
+
+/// The relative illumination in them.
+#[derive(Serialize)]
+struct Shading<'a> {
+    centre_px: [f64; 2],
+    rms: f64,
+    illumination: &'a Rings,
+}
+
 impl Listing<'_> {
     /// Variance over mean: tiles as dots, the line of all as dashes.
     fn svg(&self) -> String {
@@ -294,25 +324,28 @@ impl Listing<'_> {
 
     fn json(&self) -> serde_json::Value {
         let (m, s) = (self.measured, self.sensor);
-        json!({
-            "schema": 1,
-            "camera": s.name,
-            "iso": self.camera.iso,
-            "black_dn": m.black.value,
-            "black_error_dn": m.black.error,
-            "blacks_dn": m.blacks,
-            "white_dn": m.white,
-            "read_noise_dn": m.read_dn.value,
-            "read_noise_by_flats_dn": m.read_by_flats_dn,
-            "read_noise_electrons": s.read_noise_electrons,
-            "electrons_per_dn": m.gain[3].value,
-            "electrons_per_dn_error": m.gain[3].error,
-            "electrons_per_dn_rgb": [m.gain[0].value, m.gain[1].value, m.gain[2].value],
-            "full_well_electrons": s.full_well_electrons,
-            "tiles": m.points.len(),
-            "scatter": m.scatter,
-            "shading": self.shading.map(|s| json!({ "centre_px": s.centre_px, "rms": s.rms, "illumination": s.illumination })),
-            "warnings": m.warnings(),
+        numbered(&Figures {
+            camera: &s.name,
+            iso: self.camera.iso,
+            black_dn: m.black.value,
+            black_error_dn: m.black.error,
+            blacks_dn: m.blacks,
+            white_dn: m.white,
+            read_noise_dn: m.read_dn.value,
+            read_noise_by_flats_dn: m.read_by_flats_dn,
+            read_noise_electrons: s.read_noise_electrons,
+            electrons_per_dn: m.gain[3].value,
+            electrons_per_dn_error: m.gain[3].error,
+            electrons_per_dn_rgb: [0, 1, 2].map(|k| m.gain[k].value),
+            full_well_electrons: s.full_well_electrons,
+            tiles: m.points.len(),
+            scatter: m.scatter,
+            shading: self.shading.map(|s| Shading {
+                centre_px: s.centre_px,
+                rms: s.rms,
+                illumination: &s.illumination,
+            }),
+            warnings: m.warnings(),
         })
     }
 }

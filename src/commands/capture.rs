@@ -55,8 +55,8 @@ pub(crate) struct Args {
 
 /// For machines.
 #[derive(Serialize)]
-struct Figures<'a> {
-    capture: &'a Path,
+struct Figures {
+    capture: String,
     columns: usize,
     rows: usize,
     rays: u64,
@@ -96,7 +96,15 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if args.common.json {
         let Capture { rays, seconds, render_noise, sensor_noise, .. } = taken;
         let (columns, rows) = (frame.columns, frame.rows);
-        let figures = Figures { capture: &args.output, columns, rows, rays, seconds, render_noise, sensor_noise };
+        let figures = Figures {
+            capture: args.output.display().to_string(),
+            columns,
+            rows,
+            rays,
+            seconds,
+            render_noise,
+            sensor_noise,
+        };
         return Ok(writeln!(out, "{}", numbered(&figures))?);
     }
     writeln!(

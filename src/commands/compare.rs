@@ -24,7 +24,7 @@ use isoplanat::report::comparison::{Comparison, EdgesAt, Entrant};
 use isoplanat::report::drawing::lens_svg;
 use isoplanat::report::evaluation::Evaluation;
 use isoplanat::report::measured::{LARGEST, Settings as EdgeSettings};
-use isoplanat::report::table::significant;
+use isoplanat::report::table::{numbered, significant};
 use isoplanat::{Error, Result};
 
 use crate::evaluate::{Judged, Protocol};
@@ -293,9 +293,23 @@ fn cameras(args: &Args, task: &Task, first: &Lens) -> Result<Vec<Camera>> {
     Ok(cameras)
 }
 
-/// What decides the figures, as JSON.
+/// What decides the figures.
+#[derive(serde::Serialize)]
+struct AskedFor<'a> {
+    task: String,
+    rates: &'a [f64],
+    focus_all: bool,
+    protocol: String,
+    cameras: Vec<[String; 3]>,
+    trained_on: String,
+    sensor: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    edges: Option<[u32; 2]>,
+}
+
+/// The same, as JSON.
 fn asked_for(args: &Args, task: &Task, cameras: &[Camera]) -> Result<String> {
-    let (textures, sensor) = (task.textures()?.sha256(), task.sensor()?);
+    let (trained_on, sensor) = (task.textures()?.sha256(), format!("{:?}", task.sensor()?));
     // The lens is among the cameras, as its numbers are.
     let mut task = task.clone();
     task.lens.file = "first".into();
@@ -303,14 +317,17 @@ fn asked_for(args: &Args, task: &Task, cameras: &[Camera]) -> Result<String> {
         let lens = c.lens.as_ref().map_or_else(ToString::to_string, |p| p.lens.sha256());
         [c.named.clone(), c.network.clone(), lens]
     };
-    let mut value = serde_json::json!({
-        "schema": 1, "task": task.to_toml()?, "rates": args.rates, "focus_all": args.focus_all, "protocol": format!("{:?}", args.protocol),
-        "cameras": cameras.iter().map(camera).collect::<Vec<_>>(), "trained_on": textures, "sensor": format!("{sensor:?}"),
-    });
-    if args.edges > 0 {
-        value["edges"] = serde_json::json!([u32::from(args.edges), args.edge_rays]);
-    }
-    Ok(format!("{value}\n"))
+    let asked_for = AskedFor {
+        task: task.to_toml()?,
+        rates: &args.rates,
+        focus_all: args.focus_all,
+        protocol: format!("{:?}", args.protocol),
+        cameras: cameras.iter().map(camera).collect(),
+        trained_on,
+        sensor,
+        edges: (args.edges > 0).then_some([args.edges.into(), args.edge_rays]),
+    };
+    Ok(format!("{}\n", numbered(&asked_for)))
 }
 
 /// Makes the folder, or goes on in it.

@@ -8,7 +8,7 @@ use isoplanat::dataset::{Crops, Form, Judging, Made, Part, Planned, Settings, ma
 use isoplanat::imaging::render::shortfall;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::report::columns::{Column, table};
-use isoplanat::report::table::value;
+use isoplanat::report::table::numbered;
 use isoplanat::{Error, Result};
 
 use crate::bending::Bending;
@@ -208,7 +208,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         crate::aside!("note: {} units with files that are damaged or gone were made again", made.damaged);
     }
     if args.common.json {
-        return Ok(writeln!(out, "{}", figures(args, &settings, &made)?)?);
+        return Ok(writeln!(out, "{}", numbered(&Figures::new(args, &settings, &made)))?);
     }
     let Part { index, of } = settings.part;
     let what = if of > 1 { format!(", part {index} of {of}") } else { String::new() };
@@ -248,15 +248,50 @@ const PLANS: [Column<Planned>; 5] = [
     Column::figure("planned in s", "seconds", 2, |p| p.seconds),
 ];
 
-fn figures(args: &Args, settings: &Settings, made: &Made) -> Result<serde_json::Value> {
-    let verdict = made.verdict(settings.min_psnr_db);
-    let [judged, held] = verdict.map_or([0, 0], |v| v.0);
-    let (together, interval) = verdict.map_or((None, None), |(_, m)| (Some(m.psnr_db()), Some(m.interval_db())));
-    let Part { index, of } = settings.part;
-    Ok(serde_json::json!({ "schema": 1, "dataset": args.output, "index": index, "of": of, "pairs": made.pairs,
-        "made": made.made, "kept": made.kept, "damaged": made.damaged, "complete": made.complete, "seconds": made.seconds,
-        "plans": value(&made.planned)?, "judged": judged, "held": held, "min_psnr_db": settings.min_psnr_db,
-        "judged_psnr_db": together, "judged_psnr_db_interval": interval }))
+/// What was made, for machines.
+#[derive(serde::Serialize)]
+struct Figures<'a> {
+    dataset: String,
+    index: usize,
+    of: usize,
+    pairs: usize,
+    made: usize,
+    kept: usize,
+    damaged: usize,
+    complete: bool,
+    seconds: f64,
+    plans: &'a [Planned],
+    judged: usize,
+    held: usize,
+    min_psnr_db: f64,
+    judged_psnr_db: Option<f64>,
+    judged_psnr_db_interval: Option<[f64; 2]>,
+}
+
+impl<'a> Figures<'a> {
+    fn new(args: &'a Args, settings: &Settings, made: &'a Made) -> Self {
+        let (Part { index, of }, min_psnr_db) = (settings.part, settings.min_psnr_db);
+        let verdict = made.verdict(min_psnr_db);
+        let [judged, held] = verdict.map_or([0, 0], |v| v.0);
+        let &Made { pairs, made: now, kept, damaged, complete, seconds, .. } = made;
+        Self {
+            dataset: args.output.display().to_string(),
+            index,
+            of,
+            pairs,
+            made: now,
+            kept,
+            damaged,
+            complete,
+            seconds,
+            plans: &made.planned,
+            judged,
+            held,
+            min_psnr_db,
+            judged_psnr_db: verdict.map(|(_, mean)| mean.psnr_db()),
+            judged_psnr_db_interval: verdict.map(|(_, mean)| mean.interval_db()),
+        }
+    }
 }
 
 #[cfg(test)]

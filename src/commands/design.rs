@@ -16,12 +16,15 @@ use isoplanat::design::pace::pace;
 use isoplanat::design::task::Task;
 use isoplanat::design::task::stages;
 use isoplanat::design::task::stated::Stated;
+use isoplanat::imaging::render::gradient_error::Chosen;
 use isoplanat::imaging::render::{Settings, frame_of};
 use isoplanat::lens::{Lens, prescription};
 use isoplanat::network::Compute;
-use isoplanat::optimize::{Apertures, Problem, merit_of};
+use isoplanat::optimize::{Apertures, Constraint, Problem, merit_of};
+use isoplanat::report::table::numbered;
 use isoplanat::report::verdict::Verdict;
 use isoplanat::{Error, Result};
+use serde::Serialize;
 
 use crate::output::Common;
 use crate::progress::Bar;
@@ -260,13 +263,8 @@ fn run_to_end(mut designing: Designing, options: RunOptions<'_>, out: &mut dyn W
         None => None,
     };
     if json {
-        let value = serde_json::json!({ "schema": 1, "steps": designing.stage().steps(), "seconds": designing.stage().seconds(),
-            "last": last, "held_out": designing.judged(), "validation": validated,
-            "verdicts": designing.verdicts().and_then(|v| v.as_ref().ok()),
-            "rejected": joint.rejected, "drawn_without_light": designing.stage().lost(), "fineness": designing.stage().fineness, "filters_made": joint.refreshed.0,
-            "filters_seconds": joint.refreshed.1 });
-        writeln!(out, "{value}")?;
-        return Ok(());
+        let figures = Figures::new(&designing, last.as_ref(), validated.as_ref());
+        return Ok(writeln!(out, "{}", numbered(&figures))?);
     }
     for line in designing.verdicts().into_iter().flat_map(Verdict::told) {
         writeln!(out, "{line}")?;
@@ -293,6 +291,42 @@ fn run_to_end(mut designing: Designing, options: RunOptions<'_>, out: &mut dyn W
         writeln!(out, "rendered from step {step} on: {}", chosen.describe())?;
     }
     Ok(())
+}
+
+/// How a design went, for machines.
+#[derive(Serialize)]
+struct Figures<'a> {
+    steps: usize,
+    seconds: f64,
+    last: Option<&'a Entry>,
+    held_out: Option<&'a Entry>,
+    validation: Option<&'a Entry>,
+    verdicts: Option<&'a [Verdict]>,
+    rejected: usize,
+    drawn_without_light: usize,
+    fineness: &'a [(usize, Chosen)],
+    filters_made: usize,
+    filters_seconds: f64,
+}
+
+impl<'a> Figures<'a> {
+    fn new(designing: &'a Designing, last: Option<&'a Entry>, validation: Option<&'a Entry>) -> Self {
+        let stage = designing.stage();
+        let (filters_made, filters_seconds) = stage.joint.refreshed;
+        Self {
+            steps: stage.steps(),
+            seconds: stage.seconds(),
+            last,
+            held_out: designing.judged(),
+            validation,
+            verdicts: designing.verdicts().and_then(|v| v.as_deref().ok()),
+            rejected: stage.joint.rejected,
+            drawn_without_light: stage.lost(),
+            fineness: &stage.fineness,
+            filters_made,
+            filters_seconds,
+        }
+    }
 }
 
 /// An entry in words.
@@ -377,6 +411,12 @@ fn prepared(task: &Task, lens: &Lens, file: &str) -> Result<Prepared> {
     Ok(prepared)
 }
 
+/// What would be done in several stages, for machines.
+#[derive(Serialize)]
+struct Stages<'a> {
+    stages: &'a [serde_json::Value],
+}
+
 /// What would be done, in every stage; all of them with the lens that the first one begins with.
 fn check(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let Some(path) = &args.task else { return Err(Error::bad("TASK", "value", "missing", "a task file").into()) };
@@ -402,7 +442,7 @@ fn check(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if args.common.json {
         let value = match values.as_slice() {
             [one] => one.clone(),
-            all => serde_json::json!({ "schema": 1, "stages": all }),
+            stages => numbered(&Stages { stages }),
         };
         writeln!(out, "{value}")?;
     }
@@ -415,6 +455,27 @@ fn held_as(problem: &Problem) -> &'static str {
         Apertures::Automatic => "follow the beam: all of the stop's light counts over the field",
         Apertures::Stated => "stay as stated: the rays that they let through count",
     }
+}
+
+/// What would be done in one stage, for machines.
+#[derive(Serialize)]
+struct Looked<'a> {
+    variables: Vec<Moved>,
+    constraints: &'a [Constraint],
+    seconds_a_step: f64,
+    seconds_of_its_network: f64,
+    seconds_with_the_lens_held: f64,
+    seconds_in_all: f64,
+    rms_spot_mm: Option<f64>,
+    field_deg: f64,
+    scenes: usize,
+}
+
+/// A variable, and what it may become.
+#[derive(Serialize)]
+struct Moved {
+    name: String,
+    bounds: [f64; 2],
 }
 
 /// What would be done in one of them: in words, or as the value that is returned.
@@ -431,19 +492,18 @@ fn looked_at(task: &Task, prepared: &Prepared, args: &Args, out: &mut dyn Write)
     let pace = pace(&scenery, problem, &fresh, &settings)?;
     let spots = merit_of(&problem.lens, &problem.merit).ok();
     if args.common.json {
-        #[derive(serde::Serialize)]
-        struct Moved {
-            name: String,
-            bounds: [f64; 2],
-        }
         let all = problem.variables.parameters.iter().zip(&problem.bounds);
-        let moved: Vec<_> = all.map(|(p, bounds)| Moved { name: p.name(&problem.lens), bounds: *bounds }).collect();
-        let value = serde_json::json!({ "schema": 1, "variables": moved,
-            "constraints": problem.constraints,
-            "seconds_a_step": pace.moving, "seconds_of_its_network": pace.network, "seconds_with_the_lens_held": pace.held,
-            "seconds_in_all": pace.all(&settings),
-            "rms_spot_mm": spots, "field_deg": problem.lens.max_field_deg(), "scenes": textures.len() });
-        return Ok(value);
+        return Ok(numbered(&Looked {
+            variables: all.map(|(p, bounds)| Moved { name: p.name(&problem.lens), bounds: *bounds }).collect(),
+            constraints: &problem.constraints,
+            seconds_a_step: pace.moving,
+            seconds_of_its_network: pace.network,
+            seconds_with_the_lens_held: pace.held,
+            seconds_in_all: pace.all(&settings),
+            rms_spot_mm: spots,
+            field_deg: problem.lens.max_field_deg(),
+            scenes: textures.len(),
+        }));
     }
     writeln!(out, "field to {:.2}° half; {} scenes to train on", problem.lens.max_field_deg(), textures.len())?;
     writeln!(out, "clear semi-diameters {}", held_as(problem))?;

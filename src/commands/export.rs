@@ -17,6 +17,7 @@ use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::math::memory::{BASE, product, words};
 use isoplanat::network::card::Weights;
 use isoplanat::network::onnx;
+use isoplanat::report::table::numbered;
 use isoplanat::{Result, atomic};
 use ndarray::{Array4, Axis};
 
@@ -93,10 +94,16 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let residual = calibration.distortion.residual_mm / frame.pitch_mm;
     let seen_mm = calibration.distortion.sensor_from_slope(calibration.distortion.max_slope);
     if args.common.json {
-        let figures = serde_json::json!({ "schema": 1, "kit": args.output, "lens_sha256": lens.sha256,
-            "distortion_residual_px": residual, "distortion_radius_mm": seen_mm, "corner_mm": frame.max_radius_mm(),
-            "memory_bytes": bytes, "f16": cost });
-        return Ok(writeln!(out, "{figures}")?);
+        let figures = Figures {
+            kit: args.output.display().to_string(),
+            lens_sha256: &lens.sha256,
+            distortion_residual_px: residual,
+            distortion_radius_mm: seen_mm,
+            corner_mm: frame.max_radius_mm(),
+            memory_bytes: bytes,
+            f16: cost,
+        };
+        return Ok(writeln!(out, "{}", numbered(&figures))?);
     }
     let (of, unit) = match subject {
         Subject::Lens(_) => ("the chief rays", "mm"),
@@ -125,6 +132,18 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         )?;
     }
     Ok(())
+}
+
+/// The kit, for machines.
+#[derive(serde::Serialize)]
+struct Figures<'a> {
+    kit: String,
+    lens_sha256: &'a str,
+    distortion_residual_px: f64,
+    distortion_radius_mm: f64,
+    corner_mm: f64,
+    memory_bytes: u64,
+    f16: Option<Halves>,
 }
 
 /// What weights with 16 bits save, and cost on a built-in scene (white is 1).

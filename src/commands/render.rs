@@ -18,7 +18,7 @@ use isoplanat::imaging::scene::photos::Photos;
 use isoplanat::imaging::scene::placement::slope_per_mm;
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
-use isoplanat::report::table::{Table, significant};
+use isoplanat::report::table::{Table, numbered, significant};
 use isoplanat::{Error, Result, atomic};
 use ndarray::Array3;
 use serde::Serialize;
@@ -196,6 +196,22 @@ struct Picture {
     figures: Figures,
 }
 
+/// What was made, for machines.
+#[derive(Serialize)]
+struct Told<'a> {
+    seconds: f64,
+    #[serde(flatten)]
+    made: Pictures<'a>,
+}
+
+/// Numbers of the one picture, or all pictures.
+#[derive(Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Pictures<'a> {
+    Figures(&'a Figures),
+    Pictures(&'a [Picture]),
+}
+
 /// What renders scene after scene.
 enum Way {
     Grid(Box<ScenePlan>, f64),
@@ -349,7 +365,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
                 args.write(&folder.join(name), &made.image)?;
                 all.push(Picture { picture: name.clone(), figures: made.figures });
             }
-            let text = format!("{:#}\n", serde_json::json!({ "schema": 1, "pictures": all }));
+            let text = format!("{:#}\n", numbered(&Pictures::Pictures(&all)));
             atomic::write_bytes(&folder.join(MARKER), text.as_bytes())
         })?;
     } else {
@@ -380,10 +396,8 @@ fn tell(
     };
     let frame = &stage.frame;
     if args.common.json {
-        let mut value = match all {
-            [one] => serde_json::json!({ "schema": 1, "seconds": seconds, "figures": one.figures }),
-            _ => serde_json::json!({ "schema": 1, "seconds": seconds, "pictures": all }),
-        };
+        let made = if let [one] = all { Pictures::Figures(&one.figures) } else { Pictures::Pictures(all) };
+        let mut value = numbered(&Told { seconds, made });
         if let Some(plan) = skips {
             let first = if all.len() == 1 { &mut value["figures"] } else { &mut value["pictures"][0]["figures"] };
             first["skips"] = serde_json::to_value(&plan.skips)?;

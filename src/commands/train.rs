@@ -4,11 +4,13 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use isoplanat::design::evaluate::verdict::verdicts;
+use isoplanat::design::log::Entry;
 use isoplanat::design::memory;
 use isoplanat::design::subject::Subject;
 use isoplanat::design::task::Task;
 use isoplanat::design::training::{Status, Training};
 use isoplanat::network::Compute;
+use isoplanat::report::table::numbered;
 use isoplanat::report::verdict::Verdict;
 use isoplanat::{Error, Result};
 
@@ -53,6 +55,17 @@ pub(crate) struct Args {
     device: Compute,
     #[command(flatten)]
     common: Common,
+}
+
+/// How it went, for machines.
+#[derive(serde::Serialize)]
+struct Figures<'a> {
+    steps: u64,
+    skipped: u64,
+    damaged_pairs: u64,
+    returned: u32,
+    last: Option<Entry>,
+    verdicts: Option<&'a [Verdict]>,
 }
 
 /// Runs the command.
@@ -101,12 +114,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         );
     }
     if args.common.json {
-        let entry = last.map(|s| s.entry);
-        writeln!(
-            out,
-            "{}",
-            serde_json::json!({ "schema": 1, "steps": steps, "skipped": skipped, "damaged_pairs": training.damaged(), "returned": returned, "last": entry, "verdicts": judged.as_ref().ok() })
-        )?;
+        let (damaged_pairs, last) = (training.damaged(), last.map(|s| s.entry));
+        let verdicts = judged.as_deref().ok();
+        writeln!(out, "{}", numbered(&Figures { steps, skipped, damaged_pairs, returned, last, verdicts }))?;
     } else {
         if let Some(s) = last {
             writeln!(out, "loss {:.5}  PSNR of training patches {:.2} dB", s.entry.content, s.entry.psnr_db)?;

@@ -19,6 +19,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use isoplanat::report::html::SCRIPT;
+use isoplanat::report::table::numbered;
 
 use crate::analyses::View;
 use crate::named::Named;
@@ -47,6 +48,14 @@ pub(crate) struct Args {
     common: Common,
 }
 
+/// Where the page is, for machines.
+#[derive(serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Place<'a> {
+    File(String),
+    Url(&'a str),
+}
+
 /// Runs the command until it is interrupted; where the page is goes to `out`.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let options = args.view.options()?;
@@ -58,7 +67,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         bar.done(String::new());
         crate::output::put(&page, Some(path), args.common.force, out)?;
         if args.common.json {
-            writeln!(out, "{}", serde_json::json!({ "schema": 1, "file": path }))?;
+            writeln!(out, "{}", numbered(&Place::File(path.display().to_string())))?;
         }
         return Ok(());
     }
@@ -75,7 +84,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let desk = Desk::new(server.address(), Token::new()?, Arc::clone(&board))?;
     let url = desk.url();
     if args.common.json {
-        writeln!(out, "{}", serde_json::json!({ "schema": 1, "url": url }))?;
+        writeln!(out, "{}", numbered(&Place::Url(&url)))?;
     } else {
         writeln!(out, "{url}")?;
     }

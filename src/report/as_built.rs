@@ -2,14 +2,15 @@
 
 use std::fmt::Write;
 
-use serde_json::{Value, json};
+use serde::Serialize;
+use serde_json::Value;
 
 use super::drawing::lens_svg;
 use super::html::{Fact, Page};
 use super::plot::{Mark, Plot, Scale, Series};
-use super::table::{Table, significant};
-use isoplanat_optics::analysis::scatter::OfFace;
-use isoplanat_optics::analysis::tolerancing::{Alone, AsBuilt};
+use super::table::{Table, numbered, significant};
+use isoplanat_optics::analysis::scatter::{OfFace, Scatter};
+use isoplanat_optics::analysis::tolerancing::{Alone, AsBuilt, Draw};
 use isoplanat_optics::lens::Lens;
 
 /// Shares of the draws that are told of.
@@ -28,6 +29,33 @@ pub struct AsBuiltReport<'a> {
     pub limit_mm: Option<f64>,
     /// The figures.
     pub figures: &'a AsBuilt,
+}
+
+/// Everything, for machines.
+#[derive(Serialize)]
+struct Figures<'a> {
+    lens: &'a str,
+    lens_sha256: String,
+    tolerances: &'a str,
+    seed: u64,
+    nominal_mm: f64,
+    quantiles: Vec<Quantile>,
+    lost: usize,
+    limit_mm: Option<f64>,
+    within_limit: Option<f64>,
+    alone: &'a [Alone],
+    draws: &'a [Draw],
+    scatter: Option<&'a Scatter>,
+    notes: &'a [String],
+    seconds: [f64; 2],
+}
+
+/// Rms that a share of the draws does not exceed, for machines.
+#[derive(Serialize)]
+struct Quantile {
+    share: f64,
+    rms_mm: f64,
+    by_jacobian_mm: f64,
 }
 
 fn um(mm: f64) -> String {
@@ -123,23 +151,27 @@ impl AsBuiltReport<'_> {
 
     /// Everything, for machines.
     pub fn json(&self) -> Value {
-        #[derive(serde::Serialize)]
-        struct Quantile {
-            share: f64,
-            rms_mm: f64,
-            by_jacobian_mm: f64,
-        }
-        let shares = SHARES.iter().filter(|_| !self.figures.draws.is_empty());
-        let shares: Vec<Quantile> = shares
-            .map(|share| {
-                let [rms_mm, by_jacobian_mm] = self.figures.quantile(*share);
-                Quantile { share: *share, rms_mm, by_jacobian_mm }
-            })
-            .collect();
-        json!({ "schema": 1, "lens": self.lens.name, "lens_sha256": self.lens.sha256(), "tolerances": self.file, "seed": self.seed,
-            "nominal_mm": self.figures.nominal_mm, "quantiles": shares, "lost": self.figures.lost(),
-            "limit_mm": self.limit_mm, "within_limit": self.limit_mm.map(|l| self.figures.within(l)),
-            "alone": self.figures.alone, "draws": self.figures.draws, "scatter": self.figures.scatter, "notes": self.figures.notes, "seconds": self.figures.seconds })
+        let f = self.figures;
+        let quantile = |share| {
+            let [rms_mm, by_jacobian_mm] = f.quantile(share);
+            Quantile { share, rms_mm, by_jacobian_mm }
+        };
+        numbered(&Figures {
+            lens: &self.lens.name,
+            lens_sha256: self.lens.sha256(),
+            tolerances: self.file,
+            seed: self.seed,
+            nominal_mm: f.nominal_mm,
+            quantiles: SHARES.into_iter().filter(|_| !f.draws.is_empty()).map(quantile).collect(),
+            lost: f.lost(),
+            limit_mm: self.limit_mm,
+            within_limit: self.limit_mm.map(|l| f.within(l)),
+            alone: &f.alone,
+            draws: &f.draws,
+            scatter: f.scatter.as_ref(),
+            notes: &f.notes,
+            seconds: f.seconds,
+        })
     }
 
     /// The page.
@@ -222,7 +254,7 @@ mod tests {
         assert_eq!(report.table().rows.len(), 4 + 2, "four radii and two elements");
         let json = report.json();
         assert_eq!(json["draws"].as_array().map(Vec::len), Some(7));
-        assert_eq!(json["within_limit"], json!(1.0));
+        assert_eq!(json["within_limit"], 1.0);
         let share = json["scatter"]["share"][0].as_f64().expect("a share");
         assert!((1e-4..1e-2).contains(&share), "{share}");
         assert!(report.remarks().iter().any(|r| r.contains("scatter about") && r.contains("surface 0")));

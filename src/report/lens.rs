@@ -13,6 +13,7 @@ mod page;
 mod spots;
 mod waves;
 
+use std::collections::BTreeMap;
 use std::time::Instant;
 
 use ndarray::Array4;
@@ -26,7 +27,7 @@ use super::health::HealthReport;
 use super::listing::Listing;
 use super::measured::Measured;
 use super::plot::{Plot, Series};
-use super::table::{Table, significant};
+use super::table::{Table, numbered, significant};
 use isoplanat_base::error::Result;
 use isoplanat_base::math::memory::Limit;
 use isoplanat_optics::analysis::diffraction::Mtf;
@@ -340,14 +341,32 @@ pub fn plots(o: &Overview) -> Vec<(&'static str, Plot)> {
     curves::all(o, &[])
 }
 
+/// A plot, for machines.
+#[derive(Serialize)]
+struct PlotRow<'a> {
+    title: &'a str,
+    x: &'a str,
+    y: &'a str,
+    series: Vec<SeriesRow<'a>>,
+}
+
+/// One curve of it; what is not finite is left out.
+#[derive(Serialize)]
+struct SeriesRow<'a> {
+    name: &'a str,
+    points: Vec<&'a [f64; 2]>,
+}
+
+impl<'a> From<&'a Plot> for PlotRow<'a> {
+    fn from(p: &'a Plot) -> Self {
+        let series = p.series.iter().map(|s| SeriesRow { name: &s.name, points: numbers(s).collect() }).collect();
+        Self { title: &p.title, x: &p.x_label, y: &p.y_label, series }
+    }
+}
+
 /// Curves as JSON: under their names, pairs of numbers by series; what is not finite is left out.
 pub fn plots_json<'a>(plots: impl IntoIterator<Item = &'a (&'static str, Plot)>) -> Value {
-    let one = |(name, p): &(&'static str, Plot)| {
-        let series: Vec<Value> =
-            p.series.iter().map(|s| json!({ "name": s.name, "points": numbers(s).collect::<Vec<_>>() })).collect();
-        ((*name).to_owned(), json!({ "title": p.title, "x": p.x_label, "y": p.y_label, "series": series }))
-    };
-    plots.into_iter().map(one).collect::<serde_json::Map<String, Value>>().into()
+    json!(plots.into_iter().map(|(name, p)| (*name, p.into())).collect::<BTreeMap<_, PlotRow<'_>>>())
 }
 
 /// Points of a curve that are numbers.
@@ -366,6 +385,37 @@ pub fn plots_csv<'a>(plots: impl IntoIterator<Item = &'a (&'static str, Plot)>) 
         }
     }
     table.csv()
+}
+
+/// Everything about a lens, for machines.
+#[derive(Serialize)]
+struct Everything<'a> {
+    lens: Value,
+    wavelengths: Vec<Wavelength>,
+    rays: usize,
+    airy_radius_mm: f64,
+    shifts_mm: &'a [f64],
+    cycles_per_mm: &'a [f64],
+    fields: Vec<SpotRow>,
+    plots: Value,
+    measured: Option<Value>,
+    check_passes: bool,
+    missing: &'a [String],
+    seconds: Vec<Timed>,
+}
+
+/// A wavelength and its share of the light.
+#[derive(Serialize)]
+struct Wavelength {
+    nm: f64,
+    share: f64,
+}
+
+/// A part of the work, and how long it took.
+#[derive(Serialize)]
+struct Timed {
+    part: &'static str,
+    seconds: f64,
 }
 
 impl LensReport {
@@ -508,20 +558,19 @@ impl LensReport {
     /// Everything as one JSON object: lengths in mm (spots too), curves under their names as pairs.
     pub fn json(&self) -> Value {
         let o = &self.overview;
-        json!({
-            "schema": 1,
-            "lens": Listing::new(&self.lens, o.primary_nm).json(),
-            "wavelengths": o.colours.iter().map(|(nm, share)| json!({"nm": nm, "share": share})).collect::<Vec<_>>(),
-            "rays": o.settings.rays,
-            "airy_radius_mm": o.airy_radius,
-            "shifts_mm": o.shifts_mm,
-            "cycles_per_mm": o.cycles_per_mm,
-            "fields": spot_rows(o),
-            "plots": plots_json(&self.plots()),
-            "measured": self.measured.as_ref().map(Measured::json),
-            "check_passes": self.check.0,
-            "missing": self.missing,
-            "seconds": self.seconds.iter().map(|(k, v)| json!({"part": k, "seconds": v})).collect::<Vec<_>>(),
+        numbered(&Everything {
+            lens: Listing::new(&self.lens, o.primary_nm).json(),
+            wavelengths: o.colours.iter().map(|(nm, share)| Wavelength { nm: *nm, share: *share }).collect(),
+            rays: o.settings.rays,
+            airy_radius_mm: o.airy_radius,
+            shifts_mm: &o.shifts_mm,
+            cycles_per_mm: &o.cycles_per_mm,
+            fields: spot_rows(o),
+            plots: plots_json(&self.plots()),
+            measured: self.measured.as_ref().map(Measured::json),
+            check_passes: self.check.0,
+            missing: &self.missing,
+            seconds: self.seconds.iter().map(|(part, seconds)| Timed { part, seconds: *seconds }).collect(),
         })
     }
 

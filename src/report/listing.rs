@@ -4,14 +4,14 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use serde::Serialize;
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use super::columns::{Column, csv, table};
-use super::table::{Table, significant};
+use super::table::{Table, numbered, significant};
 use isoplanat_base::terminal::cut;
 use isoplanat_optics::lens::paraxial::{FirstOrder, field_origin, first_order};
 use isoplanat_optics::lens::seidel::{self, Seidel};
-use isoplanat_optics::lens::{Aperture, Lens, Medium, Surface};
+use isoplanat_optics::lens::{Aperture, Lens, Medium, SensorRaster, Surface};
 
 /// What `isoplanat inspect` shows.
 #[derive(Clone, Debug)]
@@ -24,6 +24,26 @@ pub struct Listing<'a> {
 
 /// Focal length, in the lens's own size, that only rounding leaves.
 const POWERLESS: f64 = 1e10;
+
+/// The listing as JSON has it.
+#[derive(Serialize)]
+struct Everything<'a> {
+    name: &'a str,
+    source: &'a str,
+    sha256: String,
+    wavelength_nm: f64,
+    wavelengths_nm: &'a [f64],
+    weights: &'a [f64],
+    colour_nm: [f64; 2],
+    stop_surface: usize,
+    object_medium: String,
+    sensor: SensorRaster,
+    image: Option<Image>,
+    surfaces: Vec<Row>,
+    seidel_mm: Seidel,
+    #[serde(flatten)]
+    numbers: BTreeMap<&'static str, f64>,
+}
 
 /// A curved image surface as JSON has it.
 #[derive(Serialize)]
@@ -165,26 +185,22 @@ impl<'a> Listing<'a> {
     /// The same as one JSON object; numbers that are not finite are `null`.
     pub fn json(&self) -> Value {
         let lens = self.lens;
-        let mut object = json!({
-            "schema": 1,
-            "name": lens.name,
-            "source": lens.source,
-            "sha256": lens.sha256(),
-            "wavelength_nm": self.wavelength_nm,
-            "wavelengths_nm": lens.wavelengths.nm,
-            "weights": lens.wavelengths.weights,
-            "colour_nm": lens.wavelengths.ends_nm(),
-            "stop_surface": lens.stop,
-            "object_medium": lens.object_medium.to_string(),
-            "sensor": lens.sensor,
-            "image": self.image(),
-            "surfaces": self.rows(),
-            "seidel_mm": seidel::total(&self.seidel),
-        });
-        for (_, key, value) in self.numbers() {
-            object[key] = value.into();
-        }
-        object
+        numbered(&Everything {
+            name: &lens.name,
+            source: &lens.source,
+            sha256: lens.sha256(),
+            wavelength_nm: self.wavelength_nm,
+            wavelengths_nm: &lens.wavelengths.nm,
+            weights: &lens.wavelengths.weights,
+            colour_nm: lens.wavelengths.ends_nm(),
+            stop_surface: lens.stop,
+            object_medium: lens.object_medium.to_string(),
+            sensor: lens.sensor,
+            image: self.image(),
+            surfaces: self.rows(),
+            seidel_mm: seidel::total(&self.seidel),
+            numbers: self.numbers().into_iter().map(|(_, key, value)| (key, value)).collect(),
+        })
     }
 
     /// Form of the image surface; nothing where it is a plane.

@@ -173,6 +173,18 @@ fn middle<const N: usize>(points: &[[f64; N]]) -> f64 {
     points.get(points.len() / 2).map_or(f64::NAN, |p| p[1])
 }
 
+/// The loop over the field, for machines.
+#[derive(Serialize)]
+struct Figures<'a> {
+    rays_per_pixel: usize,
+    seed: u64,
+    worst_capture_less_design: Option<f64>,
+    reconstruction_by: Option<&'a str>,
+    places: Vec<PlaceRow<'a>>,
+    failed: &'a [String],
+    seconds: f64,
+}
+
 /// What one picture of an edge shows, for machines; or why it shows nothing.
 #[derive(Serialize)]
 #[serde(untagged)]
@@ -347,15 +359,14 @@ impl Measured {
 
     /// As JSON: by place and direction the design, and what was measured with its uncertainty.
     pub fn json(&self) -> Value {
-        let rows = |p| PlaceRow::new(p, self.pitch_mm);
-        json!({
-            "rays_per_pixel": self.settings.rays,
-            "seed": self.settings.seed,
-            "worst_capture_less_design": self.worst(),
-            "reconstruction_by": (!self.by.is_empty()).then_some(&self.by),
-            "places": self.places.iter().map(rows).collect::<Vec<_>>(),
-            "failed": self.failed,
-            "seconds": self.seconds,
+        json!(Figures {
+            rays_per_pixel: self.settings.rays,
+            seed: self.settings.seed,
+            worst_capture_less_design: self.worst(),
+            reconstruction_by: (!self.by.is_empty()).then_some(&self.by),
+            places: self.places.iter().map(|p| PlaceRow::new(p, self.pitch_mm)).collect(),
+            failed: &self.failed,
+            seconds: self.seconds,
         })
     }
 }

@@ -6,17 +6,17 @@ mod tables;
 mod words;
 
 use serde::Serialize;
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use self::words::{NOT_STATED, fixed, number, superscript};
 use super::drawing::lens_svg_within;
 use super::html::{Fact, Page};
-use super::table::{Table, significant};
-use isoplanat_optics::analysis::fabrication::Fabrication;
+use super::table::{Table, numbered, significant};
 use isoplanat_optics::analysis::fabrication::element::Element;
 use isoplanat_optics::analysis::fabrication::face::Face;
 use isoplanat_optics::analysis::fabrication::mount::{Clearance, Mount};
-use isoplanat_optics::analysis::fabrication::tolerances::{OfSurface, Tolerances};
+use isoplanat_optics::analysis::fabrication::tolerances::{OfElement, OfSurface, Tolerances};
+use isoplanat_optics::analysis::fabrication::{AirSpace, Fabrication, Stop};
 use isoplanat_optics::lens::Lens;
 
 /// Largest size of the lens's drawing, px.
@@ -33,6 +33,29 @@ pub struct Sheets<'a> {
     pub tolerances: &'a Tolerances,
     /// Files of the folder with what the lens is in them, and why others are not there: name and words.
     pub files: &'a [(String, String)],
+}
+
+/// The page's numbers, for machines.
+#[derive(Serialize)]
+struct Figures<'a> {
+    name: &'a str,
+    sha256: String,
+    primary_nm: f64,
+    effective_focal_length_mm: f64,
+    back_focal_length_mm: f64,
+    f_number: f64,
+    length_mm: f64,
+    stop: Stop,
+    elements: &'a [Element],
+    air: &'a [AirSpace],
+    mount: Option<MountRow>,
+    tolerances: Option<&'a str>,
+    test_wavelength_nm: Option<f64>,
+    of_elements: Vec<OfElement>,
+    of_faces: Vec<FaceRow>,
+    faults: &'a [String],
+    notes: &'a [String],
+    files: Vec<FileRow<'a>>,
 }
 
 /// How the lens is held, for machines.
@@ -89,30 +112,27 @@ impl Sheets<'_> {
 
     /// The page's numbers as one JSON object.
     pub fn json(&self) -> Value {
-        let (lens, made) = (self.lens, self.made);
-        let mount = made.mount.map(|(mount, clearance)| MountRow { mount, clearance });
-        let files: Vec<_> = self.files.iter().map(|(file, what)| FileRow { file, what }).collect();
-        let of_face = |f: &Face| FaceRow { surface: f.surface, stated: self.tolerances.surface(f.surface) };
-        json!({
-            "schema": 1,
-            "name": lens.name,
-            "sha256": lens.sha256(),
-            "primary_nm": lens.wavelengths.primary_nm,
-            "effective_focal_length_mm": made.first_order.effective_focal_length,
-            "back_focal_length_mm": made.first_order.back_focal_length,
-            "f_number": made.first_order.f_number,
-            "length_mm": lens.length(),
-            "stop": made.stop,
-            "elements": made.elements,
-            "air": made.air,
-            "mount": mount,
-            "tolerances": self.tolerances.file,
-            "test_wavelength_nm": self.tolerances.test_wavelength_nm,
-            "of_elements": made.elements.iter().map(|e| self.tolerances.element(e.first())).collect::<Vec<_>>(),
-            "of_faces": made.faces().map(|(_, f)| of_face(f)).collect::<Vec<_>>(),
-            "faults": made.faults,
-            "notes": made.notes,
-            "files": files,
+        let Self { lens, made, tolerances, files } = self;
+        let of_face = |f: &Face| FaceRow { surface: f.surface, stated: tolerances.surface(f.surface) };
+        numbered(&Figures {
+            name: &lens.name,
+            sha256: lens.sha256(),
+            primary_nm: lens.wavelengths.primary_nm,
+            effective_focal_length_mm: made.first_order.effective_focal_length,
+            back_focal_length_mm: made.first_order.back_focal_length,
+            f_number: made.first_order.f_number,
+            length_mm: lens.length(),
+            stop: made.stop,
+            elements: &made.elements,
+            air: &made.air,
+            mount: made.mount.map(|(mount, clearance)| MountRow { mount, clearance }),
+            tolerances: tolerances.file.as_deref(),
+            test_wavelength_nm: tolerances.test_wavelength_nm,
+            of_elements: made.elements.iter().map(|e| tolerances.element(e.first())).collect(),
+            of_faces: made.faces().map(|(_, f)| of_face(f)).collect(),
+            faults: &made.faults,
+            notes: &made.notes,
+            files: files.iter().map(|(file, what)| FileRow { file, what }).collect(),
         })
     }
 

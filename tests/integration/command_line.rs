@@ -93,6 +93,20 @@ fn names_of_any_bytes_are_read() {
         let output = place.command(arguments).arg(name).output().expect("starts");
         assert!(output.status.success(), "{arguments}: {output:?}");
     }
+    // Outputs of any bytes, in results that name them.
+    let (made, folder) = (OsStr::from_bytes(b"o\xff.dng"), OsStr::from_bytes(b"o\xff"));
+    std::fs::create_dir(place.path("photos")).expect("made");
+    place.run("render cooke_triplet text -o photos/a.png --columns 96 --rows 96").done();
+    for (arguments, output) in [
+        ("capture cooke_triplet text --columns 48 --rows 32", made),
+        ("dataset cooke_triplet --photos photos --crop 32 --crops 1 --columns 48 --rows 48", folder),
+    ] {
+        let ran = place.command(&format!("{arguments} --json -o")).arg(output).output().expect("starts");
+        assert!(ran.status.success(), "{arguments}: {ran:?}");
+        let shown: serde_json::Value = serde_json::from_slice(&ran.stdout).expect("JSON");
+        let name = shown["capture"].as_str().or(shown["dataset"].as_str()).expect("a name");
+        assert!(name.starts_with("o\u{fffd}"), "{name}");
+    }
     let missing = place.command("inspect").arg(OsStr::from_bytes(b"m\xff.toml")).output().expect("starts");
     let told = String::from_utf8_lossy(&missing.stderr).into_owned();
     assert!(missing.status.code() == Some(2) && told.lines().count() == 1 && told.contains("m\u{fffd}.toml"), "{told}");

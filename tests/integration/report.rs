@@ -234,7 +234,8 @@ fn stated_fields_are_looked_at() {
     let place = Workplace::new();
     place.run("convert cooke_triplet a.zmx").done();
     let file = std::fs::read_to_string(place.path("a.zmx")).expect("there");
-    let file = file.replace("FTYP 0 0 3 3\nXFLN 0 0 0\nYFLN 0 14 20", "FTYP 0 0 5 3\nXFLN 0 0 0 0 0\nYFLN 0 6 13 -13 20");
+    let file =
+        file.replace("FTYP 0 0 3 3\nXFLN 0 0 0\nYFLN 0 14 20", "FTYP 0 0 5 3\nXFLN 0 0 0 0 0\nYFLN 0 6 13 -13 20");
     place.write("b.zmx", &file);
     let angles = |arguments: &str| -> Vec<f64> {
         let found = json(&place.run(&format!("spot {arguments} --rays 200 --json")).done());

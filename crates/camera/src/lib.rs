@@ -1,5 +1,6 @@
 //! The camera side: RAW in, picture out. No training code, no gradients.
 
+mod any_path;
 pub mod child;
 pub(crate) mod developed;
 pub mod kit;

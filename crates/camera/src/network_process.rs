@@ -144,7 +144,11 @@ pub(crate) fn serve(
     seal: impl FnOnce() -> std::result::Result<Confinement, String>,
 ) -> std::io::Result<()> {
     let asked: Asked = line(input)?;
-    let options = Options { onnxruntime: asked.onnxruntime, threads: asked.threads, choice: asked.choice };
+    let options = Options {
+        onnxruntime: asked.onnxruntime.map(|named| named.library),
+        threads: asked.threads,
+        choice: asked.choice,
+    };
     let more = std::iter::once_with(|| -> std::io::Result<Vec<Candidate>> {
         words(out, &Said::Look)?;
         line(input)
@@ -251,7 +255,13 @@ impl Process {
         let asked = Asked {
             file: file.to_owned(),
             model_bytes: model.len() as u64,
-            onnxruntime: options.onnxruntime.as_deref().map(std::path::absolute).transpose().map_err(failed)?,
+            onnxruntime: options
+                .onnxruntime
+                .as_deref()
+                .map(std::path::absolute)
+                .transpose()
+                .map_err(failed)?
+                .map(|library| Candidate::new(library, "--onnxruntime")),
             candidates: onnxruntime::candidates(folder.unwrap_or(Path::new(""))).collect(),
             threads: options.thread_count(),
             choice: options.choice,

@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Candidate {
     /// The library: an absolute path, or a bare name for the system's loader.
+    #[serde(with = "crate::any_path")]
     pub library: PathBuf,
     /// Who named it, for messages.
     pub origin: String,

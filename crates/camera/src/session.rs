@@ -65,6 +65,7 @@ pub enum Runtime {
         /// Its version, for instance `1.24.0`.
         version: String,
         /// The library.
+        #[serde(serialize_with = "crate::any_path::shown")]
         library: PathBuf,
         /// Who named it.
         origin: String,

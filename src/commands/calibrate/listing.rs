@@ -8,9 +8,9 @@ use isoplanat::Error;
 use isoplanat::calibrate::View;
 use isoplanat::calibrate::solve::{Fit, Settings, rms};
 use isoplanat::report::residuals::{Residuals, Seen};
-use isoplanat::report::table::{Table, significant};
+use isoplanat::report::table::{Table, numbered, significant};
 use serde::Serialize;
-use serde_json::{Value, json};
+use serde_json::Value;
 
 /// A picture that is off by so many times the whole is worth a look.
 const ODD: f64 = 2.0;
@@ -40,6 +40,28 @@ struct Figures {
     worst: f64,
     bent: f64,
     straight: f64,
+}
+
+/// Everything, for machines.
+#[derive(Serialize)]
+struct Everything<'a> {
+    columns: usize,
+    rows: usize,
+    focal_length_px: f64,
+    focal_length_error_px: f64,
+    centre_px: [f64; 2],
+    centre_error_px: [f64; 2],
+    k: &'a [f64],
+    k_error: &'a [f64],
+    max_slope: f64,
+    distortion_at_max_slope: f64,
+    reach: f64,
+    rms_px: f64,
+    bend_px: f64,
+    bend_straightened_px: f64,
+    pictures: Vec<Picture>,
+    left_out: Vec<String>,
+    warnings: Vec<String>,
 }
 
 /// One picture, for machines.
@@ -141,27 +163,26 @@ impl Listing {
                 bend_straightened_px: f.straight,
             }
         };
-        let pictures: Vec<_> = (0..self.charts.len()).map(picture).collect();
         let (camera, errors) = (&self.fit.camera, &self.fit.errors);
-        json!({
-            "schema": 1,
-            "columns": self.settings.size[0],
-            "rows": self.settings.size[1],
-            "focal_length_px": camera.focal_px.x,
-            "focal_length_error_px": errors.focal_px.x,
-            "centre_px": camera.centre_px.to_array(),
-            "centre_error_px": errors.centre_px.to_array(),
-            "k": camera.k,
-            "k_error": errors.k,
-            "max_slope": self.fit.max_slope,
-            "distortion_at_max_slope": self.distortion(),
-            "reach": self.reach(),
-            "rms_px": self.fit.rms_px(),
-            "bend_px": self.overall(|f| f.bent),
-            "bend_straightened_px": self.overall(|f| f.straight),
-            "pictures": pictures,
-            "left_out": self.skipped.iter().map(ToString::to_string).collect::<Vec<_>>(),
-            "warnings": self.warnings(),
+        let [columns, rows] = self.settings.size;
+        numbered(&Everything {
+            columns,
+            rows,
+            focal_length_px: camera.focal_px.x,
+            focal_length_error_px: errors.focal_px.x,
+            centre_px: camera.centre_px.to_array(),
+            centre_error_px: errors.centre_px.to_array(),
+            k: &camera.k,
+            k_error: &errors.k,
+            max_slope: self.fit.max_slope,
+            distortion_at_max_slope: self.distortion(),
+            reach: self.reach(),
+            rms_px: self.fit.rms_px(),
+            bend_px: self.overall(|f| f.bent),
+            bend_straightened_px: self.overall(|f| f.straight),
+            pictures: (0..self.charts.len()).map(picture).collect(),
+            left_out: self.skipped.iter().map(ToString::to_string).collect(),
+            warnings: self.warnings(),
         })
     }
 

@@ -3,11 +3,12 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use isoplanat::imaging::metrics::slanted_edge::{Crossing, EdgeMeasurement};
+use isoplanat::imaging::metrics::slanted_edge::{Crossing, EdgeMeasurement, MtfPoint, Rectangle};
 use isoplanat::report::columns::{Column, table};
 use isoplanat::report::plot::{Mark, Plot, Series};
 use isoplanat::report::table::{Table, numbered};
-use serde_json::{Value, json};
+use serde::Serialize;
+use serde_json::Value;
 
 /// One channel's edge.
 pub(super) struct Measured {
@@ -29,18 +30,93 @@ pub(super) struct Listing {
 }
 
 /// Everything as JSON has it: the figures of the first channel at the top too.
-#[derive(serde::Serialize)]
+#[derive(Serialize)]
 struct Everything<'a> {
     image: &'a str,
     taken_as: &'a str,
     channel: &'a str,
     #[serde(flatten)]
-    first: Value,
+    first: Channel<'a>,
     /// Places of R and B along the edge's normal, and along the row or column that crosses the edge, pixels.
     #[serde(flatten)]
     lateral: BTreeMap<&'static str, BTreeMap<&'static str, f64>>,
-    channels: BTreeMap<&'a str, Value>,
+    channels: BTreeMap<&'a str, Channel<'a>>,
     not_measured: BTreeMap<&'a str, &'a str>,
+}
+
+/// One channel's figures.
+#[derive(Serialize)]
+struct Channel<'a> {
+    mtf50_cy_per_px: Option<f64>,
+    mtf50_interval_cy_per_px: Option<[f64; 2]>,
+    mtf10_cy_per_px: Option<f64>,
+    mtf10_interval_cy_per_px: Option<[f64; 2]>,
+    edge_angle_deg: f64,
+    edge_angle_uncertainty_deg: f64,
+    normal_to_bright_side_deg: f64,
+    edge_position_px: Place,
+    edge_fit: &'static str,
+    edge_sagitta_px: f64,
+    region_px: Rectangle,
+    dark_level: f64,
+    bright_level: f64,
+    contrast: f64,
+    michelson_contrast: f64,
+    noise: f64,
+    rise_10_90_px: f64,
+    samples: usize,
+    oversampling: f64,
+    warnings: &'a [String],
+    mtf: &'a [MtfPoint],
+    interval_95_over_uncertainty: f64,
+    spread: Vec<SpreadRow>,
+}
+
+/// A place in the picture.
+#[derive(Serialize)]
+struct Place {
+    x: f64,
+    y: f64,
+}
+
+/// Edge and line spread functions at one distance.
+#[derive(Serialize)]
+struct SpreadRow {
+    distance_px: f64,
+    esf: f64,
+    lsf_per_px: f64,
+}
+
+impl<'a> From<&'a EdgeMeasurement> for Channel<'a> {
+    fn from(edge: &'a EdgeMeasurement) -> Self {
+        let [[x, y], [dark_level, bright_level]] = [edge.position, edge.levels];
+        let row = |&[distance_px, esf, lsf_per_px]: &[f64; 3]| SpreadRow { distance_px, esf, lsf_per_px };
+        Self {
+            mtf50_cy_per_px: edge.mtf50.map(|c| c.frequency),
+            mtf50_interval_cy_per_px: edge.mtf50.map(|c| c.interval),
+            mtf10_cy_per_px: edge.mtf10.map(|c| c.frequency),
+            mtf10_interval_cy_per_px: edge.mtf10.map(|c| c.interval),
+            edge_angle_deg: edge.angle_deg,
+            edge_angle_uncertainty_deg: edge.angle_uncertainty_deg,
+            normal_to_bright_side_deg: edge.normal_deg,
+            edge_position_px: Place { x, y },
+            edge_fit: if edge.sagitta == 0.0 { "line" } else { "parabola" },
+            edge_sagitta_px: edge.sagitta,
+            region_px: edge.region,
+            dark_level,
+            bright_level,
+            contrast: bright_level - dark_level,
+            michelson_contrast: edge.michelson(),
+            noise: edge.noise,
+            rise_10_90_px: edge.rise,
+            samples: edge.samples,
+            oversampling: edge.knots_per_px,
+            warnings: &edge.warnings,
+            mtf: &edge.mtf,
+            interval_95_over_uncertainty: edge.coverage,
+            spread: edge.spread.iter().map(row).collect(),
+        }
+    }
 }
 
 const CHANNELS: [Column<Measured>; 10] = [
@@ -124,9 +200,9 @@ impl Listing {
             image: &self.image,
             taken_as: &self.source,
             channel: first.name,
-            first: channel(&first.edge),
+            first: Channel::from(&first.edge),
             lateral,
-            channels: self.measured.iter().map(|m| (m.name, channel(&m.edge))).collect(),
+            channels: self.measured.iter().map(|m| (m.name, Channel::from(&m.edge))).collect(),
             not_measured: self.refused.iter().map(|(name, why)| (*name, &**why)).collect(),
         })
     }
@@ -178,35 +254,6 @@ fn stacked(drawings: &[String]) -> String {
     }
     let size = format!("viewBox=\"0 0 {width:.0} {y:.0}\" width=\"{width:.0}\" height=\"{y:.0}\"");
     format!("<svg xmlns=\"http://www.w3.org/2000/svg\" {size}>\n{inner}</svg>\n")
-}
-
-/// One channel's figures.
-fn channel(edge: &EdgeMeasurement) -> Value {
-    json!({
-        "mtf50_cy_per_px": edge.mtf50.map(|c| c.frequency),
-        "mtf50_interval_cy_per_px": edge.mtf50.map(|c| c.interval),
-        "mtf10_cy_per_px": edge.mtf10.map(|c| c.frequency),
-        "mtf10_interval_cy_per_px": edge.mtf10.map(|c| c.interval),
-        "edge_angle_deg": edge.angle_deg,
-        "edge_angle_uncertainty_deg": edge.angle_uncertainty_deg,
-        "normal_to_bright_side_deg": edge.normal_deg,
-        "edge_position_px": { "x": edge.position[0], "y": edge.position[1] },
-        "edge_fit": if edge.sagitta == 0.0 { "line" } else { "parabola" },
-        "edge_sagitta_px": edge.sagitta,
-        "region_px": edge.region,
-        "dark_level": edge.levels[0],
-        "bright_level": edge.levels[1],
-        "contrast": edge.levels[1] - edge.levels[0],
-        "michelson_contrast": edge.michelson(),
-        "noise": edge.noise,
-        "rise_10_90_px": edge.rise,
-        "samples": edge.samples,
-        "oversampling": edge.knots_per_px,
-        "warnings": edge.warnings,
-        "mtf": edge.mtf,
-        "interval_95_over_uncertainty": edge.coverage,
-        "spread": edge.spread.iter().map(|[d, e, l]| json!({ "distance_px": d, "esf": e, "lsf_per_px": l })).collect::<Vec<_>>(),
-    })
 }
 
 impl fmt::Display for Listing {

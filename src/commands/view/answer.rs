@@ -136,6 +136,14 @@ fn policy() -> Result<HeaderValue> {
 /// The rest of a stream of events: what is followed, and the bytes of the next one; none after the last.
 type Next = (Receiver<Shown>, Option<Bytes>);
 
+/// News of the page, as its script reads them.
+#[derive(serde::Serialize)]
+struct News<'a> {
+    version: u64,
+    page: String,
+    error: Option<&'a str>,
+}
+
 /// The next event: which page is shown now and, where the file cannot be shown, why; a sign of life where nothing happens.
 async fn event(mut news: Receiver<Shown>, first: bool) -> Next {
     if !first {
@@ -147,7 +155,8 @@ async fn event(mut news: Receiver<Shown>, first: bool) -> Next {
     }
     let event = {
         let shown = news.borrow_and_update();
-        serde_json::json!({ "version": shown.version, "page": shown.page_version.to_string(), "error": shown.error })
+        let (page, error) = (shown.page_version.to_string(), shown.error.as_deref());
+        serde_json::json!(News { version: shown.version, page, error })
     };
     (news, Some(format!("data: {event}\n\n").into()))
 }

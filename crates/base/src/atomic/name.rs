@@ -67,11 +67,20 @@ pub(super) fn parse<'a>(name: &'a str, tag: &str) -> Option<(&'a str, Part)> {
 
 /// Whether `name` is a temporary's, of whatever target.
 pub(super) fn is_temporary(name: &OsStr) -> bool {
-    let mut parts = name.to_str().unwrap_or_default().rsplitn(3, '.');
-    let (ending, random, rest) = (parts.next(), parts.next(), parts.next());
-    Part::ALL.into_iter().any(|p| Some(p.ending()) == ending)
-        && random.is_some_and(is_random)
-        && rest.is_some_and(|r| r.len() > 1 && r.starts_with('.'))
+    tag_of(name).is_some()
+}
+
+/// The name of the target whose temporary `name` is; `None`: no temporary, or one whose target had too long a name to be read from it.
+pub(super) fn target(name: &OsStr) -> Option<&str> {
+    tag_of(name).filter(|t| tag(OsStr::new(t)) == *t)
+}
+
+/// The target's part of a temporary's name.
+fn tag_of(name: &OsStr) -> Option<&str> {
+    let mut parts = name.to_str()?.rsplitn(3, '.');
+    let (ending, random, rest) = (parts.next()?, parts.next()?, parts.next()?);
+    let known = Part::ALL.into_iter().any(|p| p.ending() == ending) && is_random(random);
+    rest.strip_prefix('.').filter(|tag| known && !tag.is_empty())
 }
 
 /// Whether `path` lies in a folder that is being written: what is in it is synced and published with it.

@@ -1,8 +1,9 @@
 //! What dead writers to a place have left is cleared; a folder that was on its way in several steps is taken up again.
 
+use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::name::{self, Part};
 use super::temporary::{Mark, removed};
@@ -10,7 +11,8 @@ use super::turn::Turn;
 use super::{fault, place};
 use crate::error::Result;
 
-/// Takes up or clears what killed writers to `path` have left beside it; every writing and every check does so by itself.
+/// Takes up or clears what killed writers to `path`, or into the folder there, have left. Every writing and every check does so by itself beside its place; a run that goes
+/// on may never write again what a kill left half done.
 ///
 /// Only names of this module's form, and of those only what nobody holds a lock on. A folder that was being replaced in several steps is
 /// put in its place, the new one or the old one.
@@ -19,9 +21,27 @@ use crate::error::Result;
 /// A path that cannot be looked at.
 pub fn recover(path: &Path) -> Result<()> {
     let target = place::resolved(path)?;
-    let _turn = Turn::beside(&target);
-    sweep(&target);
+    for target in [vec![target.clone()], unfinished_in(&target)].concat() {
+        let _turn = Turn::beside(&target);
+        sweep(&target);
+    }
     Ok(())
+}
+
+/// What was on its way somewhere within `folder`, links not followed.
+fn unfinished_in(folder: &Path) -> Vec<PathBuf> {
+    let (mut found, mut walk) = (BTreeSet::new(), vec![folder.to_owned()]);
+    while let Some(folder) = walk.pop() {
+        for entry in fs::read_dir(&folder).into_iter().flatten().flatten() {
+            let name = entry.file_name();
+            if let Some(target) = name::target(&name) {
+                found.insert(folder.join(target));
+            } else if entry.file_type().is_ok_and(|t| t.is_dir()) {
+                walk.push(entry.path());
+            }
+        }
+    }
+    found.into_iter().collect()
 }
 
 /// [`recover`] for a path without links. What cannot be opened or removed stays: the writing itself tells of a folder that it may not use.

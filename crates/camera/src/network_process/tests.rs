@@ -151,3 +151,21 @@ fn children_that_fail_hang_or_babble_become_one_sentence() {
     let error = network.expect("opens").run(Array4::zeros((1, 3, 4, 4)).view()).expect_err("gone");
     assert!(error.to_string().contains("broke off") && clock.elapsed() < Duration::from_secs(5), "{error}");
 }
+
+/// Names that are no text reach the child as they are; a result shows them with a mark in their place.
+#[cfg(unix)]
+#[test]
+fn names_of_any_bytes_reach_the_child() {
+    let named = |bytes: &[u8]| PathBuf::from(<std::ffi::OsStr as std::os::unix::ffi::OsStrExt>::from_bytes(bytes));
+    let (file, library) = (named(b"k\xff/model.onnx"), named(b"/l\xfe.so"));
+    let candidates = vec![Candidate::new(&library, "VIRTUAL_ENV")];
+    let onnxruntime = Some(Candidate::new(&library, "--onnxruntime"));
+    let asked = Asked { file: file.clone(), model_bytes: 0, onnxruntime, candidates, threads: 1, choice: Choice::Best };
+    let mut bytes = Vec::new();
+    words(&mut bytes, &asked).expect("writes");
+    let heard: Asked = line(&mut &bytes[..]).expect("reads");
+    assert_eq!((heard.file, heard.onnxruntime, heard.candidates), (file, asked.onnxruntime, asked.candidates));
+    let runtime = crate::session::Runtime::OnnxRuntime { version: "1.24.0".into(), library, origin: "a".into() };
+    let shown = serde_json::to_value(runtime).expect("a text");
+    assert_eq!(shown["OnnxRuntime"]["library"], "/l\u{fffd}.so");
+}

@@ -7,6 +7,7 @@ use std::time::Duration;
 use ndarray::{Array4, ArrayView4};
 use serde::{Deserialize, Serialize};
 
+use crate::any_path;
 use crate::child::{self, Confinement};
 use crate::onnxruntime::Candidate;
 use crate::session::{Choice, Runtime};
@@ -20,9 +21,11 @@ const MOST_WORDS: u64 = 1 << 20;
 /// What a child is told first; the model's bytes follow once it is ready for them.
 #[derive(Serialize, Deserialize)]
 pub(super) struct Asked {
+    #[serde(with = "any_path")]
     pub(super) file: PathBuf,
     pub(super) model_bytes: u64,
-    pub(super) onnxruntime: Option<PathBuf>,
+    /// The one that the user named.
+    pub(super) onnxruntime: Option<Candidate>,
     /// Where the runtime may lie, where nobody named it.
     pub(super) candidates: Vec<Candidate>,
     pub(super) threads: usize,

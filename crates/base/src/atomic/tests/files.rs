@@ -346,6 +346,29 @@ fn leftovers_are_swept_and_nothing_else() {
     assert!(!at(".a.csv.living000000.partial").exists(), "swept once its writer is dead");
 }
 
+/// Who goes on in a folder clears it, at every depth, of what nobody writes any more; links are not followed, and names too long to tell their target stay.
+#[test]
+fn leftovers_within_a_folder_are_swept_by_who_goes_on() {
+    let (place, other) = (place(), place());
+    let at = |name: &str| place.path().join(name);
+    fs::create_dir_all(at("run/1/network")).expect("made");
+    fs::write(other.path().join(".a.csv.dead00000000.partial"), "left").expect("writes");
+    symlink(other.path(), at("run/elsewhere")).expect("linked");
+    let long = format!(".{}~12345678.dead00000000.partial", "n".repeat(96));
+    for name in
+        [".lens.toml.dead00000000.partial", "1/network/.net.safetensors.dead00000000.lock", "1/lens.toml", &long]
+    {
+        fs::write(at("run").join(name), "left").expect("writes");
+    }
+    fs::write(at("run/1/.log.csv.living000000.partial"), "held").expect("writes");
+    let living = File::open(at("run/1/.log.csv.living000000.partial")).expect("opens");
+    living.lock().expect("locked");
+    super::super::recover(&at("run")).expect("swept");
+    assert_eq!(names(&at("run")), [long.as_str(), "1", "elsewhere"]);
+    assert_eq!(names(&at("run/1")), [".log.csv.living000000.partial", "lens.toml", "network"]);
+    assert!(names(&at("run/1/network")).is_empty() && names(other.path()).len() == 1);
+}
+
 /// Figures for the record. The bound is that of the promise, twenty times over: the disk may be shared.
 #[test]
 fn a_publication_costs_little() {
