@@ -1,7 +1,7 @@
 //! `isoplanat capture LENS SCENE -o x.dng`: the virtual camera.
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use isoplanat::atomic::Target;
 use isoplanat::imaging::capture::{Capture, CaptureSettings, capture};
