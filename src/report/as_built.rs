@@ -69,7 +69,7 @@ fn worst(a: &Alone) -> f64 {
 impl AsBuiltReport<'_> {
     /// Costs of each tolerance by itself.
     pub fn table(&self) -> Table {
-        let mut table = Table::new(["deviation", "±", "unit", "rms µm at +", "at −", "by Jacobian", "adds µm²"]);
+        let mut table = Table::new(["deviation", "±", "unit", "rms µm at +", "at −", "by derivatives", "adds µm²"]);
         for a in &self.figures.alone {
             let [plus, minus] = a.rms_mm.map(|r| r.map_or_else(|| "lost".into(), um));
             let adds = 1e6 * (worst(a).powi(2) - self.figures.nominal_mm.powi(2));
@@ -88,7 +88,7 @@ impl AsBuiltReport<'_> {
 
     /// Rms that shares of the draws do not exceed.
     pub fn quantiles(&self) -> Table {
-        let mut table = Table::new(["share of lenses", "rms µm, at most", "by Jacobian"]);
+        let mut table = Table::new(["share of lenses", "rms µm, at most", "by derivatives"]);
         for share in SHARES.into_iter().filter(|_| !self.figures.draws.is_empty()) {
             let [rays, model] = self.figures.quantile(share);
             table.row([format!("{:.0} %", 100.0 * share), um(rays), um(model)]);
@@ -100,7 +100,7 @@ impl AsBuiltReport<'_> {
     pub fn remarks(&self) -> Vec<String> {
         let f = self.figures;
         let mut all = vec![format!(
-            "nominal lens {} µm rms; {} draws, seed {}: {} s by rays, {} s for the Jacobian and every cost by it",
+            "nominal lens {} µm rms; {} draws, seed {}: {} s by rays, {} s for the derivatives and every cost by them",
             um(f.nominal_mm),
             f.draws.len(),
             self.seed,
@@ -194,8 +194,8 @@ impl AsBuiltReport<'_> {
             page.section("Lenses drawn").table(&self.quantiles()).drawings(&yields, 420);
         }
         page.section("Each tolerance by itself").paragraph(
-            "Rms spot over all sides of the field from the centroid, the sensor refocused, at both bounds; the costliest first. By Jacobian: from the \
-             derivatives of the nominal lens's rays alone.",
+            "Rms spot over all sides of the field from the centroid, the sensor refocused, at both bounds; the costliest first. By derivatives: from those \
+             of the nominal lens's rays alone.",
         );
         page.table(&self.table());
         page.section("Remarks").list(&self.remarks());
@@ -220,7 +220,7 @@ impl AsBuiltReport<'_> {
                 points: steps(&|k| draws[k].rms_mm.unwrap_or(f64::NAN)),
                 mark: Mark::Line,
             },
-            Series { name: "by Jacobian".into(), points: steps(&|k| draws[k].model_mm), mark: Mark::Dashed },
+            Series { name: "by derivatives".into(), points: steps(&|k| draws[k].model_mm), mark: Mark::Dashed },
         ];
         Plot {
             title: "Yield".into(),
@@ -259,7 +259,7 @@ mod tests {
         assert!((1e-4..1e-2).contains(&share), "{share}");
         assert!(report.remarks().iter().any(|r| r.contains("scatter about") && r.contains("surface 0")));
         let html = report.to_html();
-        for part in ["Yield", "element 2, shift", "surface 0, radius", "100.0 %", "by Jacobian"] {
+        for part in ["Yield", "element 2, shift", "surface 0, radius", "100.0 %", "by derivatives"] {
             assert!(html.contains(part), "{part}");
         }
         assert!(!html.contains("NaN") && report.remarks().iter().any(|r| r.contains("100.0 %")));
