@@ -181,8 +181,13 @@ pub fn look(lens: &Lens, options: &Options) -> (Overview, Vec<String>) {
                 format!("at {angle}° some rays end at surface {}: {cause}", failure.surface)
             });
         }
-        if let (Some(Err(fault)), Some(_)) = (&f.diffraction, &f.spot) {
-            missing.push(format!("MTF by diffraction at {angle}°: {fault}"));
+        match (&f.diffraction, &f.spot) {
+            (Some(Err(fault)), Some(_)) => missing.push(format!("MTF by diffraction at {angle}°: {fault}")),
+            (Some(Ok(mtf)), _) if mtf.residual_waves > TOLD => {
+                let left = significant(mtf.residual_waves, 1);
+                missing.push(format!("MTF by diffraction at {angle}°: paths are told to {left} wavelengths only"));
+            }
+            _ => {}
         }
         match &f.diffracted {
             Some(Err(why)) if f.spot.is_some() && !same => {

@@ -29,6 +29,7 @@ mod correlate;
 mod fault;
 mod fit;
 mod gauss;
+mod hull;
 mod pupil;
 
 use glam::DVec2;

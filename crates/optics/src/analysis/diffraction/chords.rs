@@ -15,7 +15,7 @@ pub(super) type Part = [f64; 2];
 pub(super) fn open(pupil: &Oriented, eta: f64) -> Vec<Part> {
     let (mut at, mut line) = (Vec::new(), Vec::new());
     chebyshev(eta, pupil.clips.iter().map(Surface::degree).max().unwrap_or(0), &mut at);
-    let mut parts = vec![[-1.0, 1.0]];
+    let mut parts: Vec<Part> = pupil.hull.chord(eta).into_iter().collect();
     for clip in &pupil.clips {
         clip.along(&at, &mut line);
         let others: f64 = line[1..].iter().map(|c| c.abs()).sum();

@@ -6,6 +6,7 @@ use glam::{DVec2, DVec3};
 
 use super::fault::Fault;
 use super::fit::{Fitter, Surface, chebyshev, value};
+use super::hull::Hull;
 use crate::analysis::wavefront::rays::{Source, StopRay};
 use crate::trace::ObjectPoint;
 use crate::trace::aim::Aimer;
@@ -22,6 +23,8 @@ const MARGIN: f64 = 0.06;
 const NEAR: f64 = 0.02;
 /// Part of the outline within which every ray must arrive.
 const INNER: f64 = 0.95;
+/// Room around the rays, in parts of their extent: the chords between those on the rim are 0.4 % of it within.
+const ROOM: f64 = 0.015;
 /// Azimuths of the outline, and steps of its bisection.
 const OUTLINE: (u32, u32) = (48, 9);
 /// Residuals that end a fit at a lower degree: wavelengths; relative; of `1 − r²/a²`.
@@ -55,6 +58,8 @@ pub(super) struct Oriented {
     pub(super) amplitude: Surface,
     /// `1 − r²/a²` of the stop and of the apertures that clip.
     pub(super) clips: Vec<Surface>,
+    /// Where rays are: beyond it series say nothing.
+    pub(super) hull: Hull,
     /// Of the path, wavelengths.
     pub(super) residual: f64,
     /// Index of the image space, wavelength in mm.
@@ -160,6 +165,7 @@ impl Pupil {
         let (middle, half) = (0.5 * (least + most), 0.51 * (most - least));
         let points: Vec<DVec2> = cosines.iter().map(|q| (*q - middle) / half).collect();
         let fitter = Fitter::new(&points, self.degree);
+        let hull = Hull::around(&points, ROOM);
         let wavelength = self.wavelength_nm * 1e-6;
         let values = |f: &dyn Fn(&StopRay) -> f64| -> Vec<f64> { self.rays.iter().map(f).collect() };
         let (path, residual) = fitter.fit(&values(&|r| r.path / wavelength), ENOUGH[0]);
@@ -182,7 +188,7 @@ impl Pupil {
         };
         let landings = self.rays.iter().filter(|r| r.open()).map(landing).collect();
         let index = self.index;
-        Oriented { middle, half, path, amplitude, clips, residual, index, wavelength, steep, landings }
+        Oriented { middle, half, path, amplitude, clips, hull, residual, index, wavelength, steep, landings }
     }
 }
 
@@ -202,7 +208,7 @@ impl Oriented {
             surface.along(&eta, &mut line);
             value(&line, point.x)
         };
-        let open = self.clips.iter().all(|c| of(c) > 0.0);
+        let open = self.hull.holds(point) && self.clips.iter().all(|c| of(c) > 0.0);
         open.then(|| (of(&self.path), of(&self.amplitude)))
     }
 
