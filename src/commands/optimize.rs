@@ -241,6 +241,19 @@ fn doubts(problem: &Problem, o: &Outcome) -> Vec<String> {
     if o.rms_mm[1] > o.rms_mm[0] * (1.0 + 1e-9) {
         all.push(format!("the lens is worse than its start by rms, {before} -> {after} µm: what is held asks for it"));
     }
+    let [start, end] = [&problem.lens, &o.lens].map(|l| first_order(l, l.wavelengths.primary_nm));
+    let slower = end.working_f_number / start.working_f_number;
+    if slower > 1.0 + SLOWER {
+        let [before, after] = [start, end].map(|f| significant(f.working_f_number, 4));
+        all.push(format!(
+            "the lens is slower: working f-number {before} -> {after}; what is held allows it, `--constraint working_f_number=..{before}` does not"
+        ));
+    }
+    let drift = end.magnification / start.magnification - 1.0;
+    if problem.lens.object_vergence > 0.0 && drift.abs() > ENLARGED {
+        let [before, after] = [start, end].map(|f| significant(f.magnification, 4));
+        all.push(format!("the magnification went from {before} to {after}: nothing holds it"));
+    }
     let free = !problem.constraints.iter().any(|c| matches!(c.quantity, Quantity::Distortion(_)));
     if let ([Some(before), Some(after)], true) = ([&problem.lens, &o.lens].map(distortion_percent), free)
         && after.abs() > before.abs() + DISTORTED
@@ -255,6 +268,9 @@ fn doubts(problem: &Problem, o: &Outcome) -> Vec<String> {
 
 /// Broken constraints that are told.
 const MOST_BROKEN: usize = 5;
+/// Part by which a lens may become slower, and its magnification change, before it is told.
+const SLOWER: f64 = 0.01;
+const ENLARGED: f64 = 0.02;
 /// Per cent by which distortion may grow before it is told.
 const DISTORTED: f64 = 1.0;
 

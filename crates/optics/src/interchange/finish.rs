@@ -419,7 +419,8 @@ fn sensor(draft: &Draft, numbers: &mut Prescription, marked: &[bool], notes: &mu
     numbers.source.push_str("; its sensor is assumed");
     notes.push(if fills {
         format!(
-            "no sensor is stated: {columns} × {rows} pixels of {pitch:.4} µm fill the image circle of {circle:.4} mm"
+            "no sensor is stated: {columns} × {rows} pixels of {pitch:.4} µm fill the image circle, {:.4} mm across",
+            2.0 * circle
         )
     } else {
         format!("no sensor and no field are stated: {columns} × {rows} pixels of {POINT_PITCH_UM} µm about the axis")
