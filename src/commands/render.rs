@@ -377,6 +377,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         all.push(Picture { picture: args.output.display().to_string(), figures: made.figures });
     }
     bar.done(String::new());
+    if let Some(told) = &stage.middle {
+        crate::aside!("note: {}: {told}", args.lens);
+    }
     let seconds = clock.elapsed().as_secs_f64();
     tell(args, &way, &stage, &all, seconds, out)
 }

@@ -9,6 +9,7 @@ use isoplanat::imaging::render::{frame_of, memory};
 use isoplanat::imaging::scene::placement::{Placement, Scale, slope_per_mm};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::lens::{Lens, Prescription, SensorRaster};
+use isoplanat::report::table::significant;
 use isoplanat::{Error, Result};
 use ndarray::Array3;
 
@@ -78,6 +79,9 @@ const MOST_TEXELS: f64 = 1000.0;
 /// What takes less memory.
 pub(crate) const SMALLER: &str = "a smaller frame (--columns, --rows, --crop), larger pixels or a smaller scene";
 
+/// Part of the sensor's diagonal below which a smaller frame is told of.
+const PART: f64 = 0.9;
+
 /// Rows and columns of a scene's picture.
 pub(crate) fn texels(texture: &Array3<f32>) -> [usize; 2] {
     let (_, rows, columns) = texture.dim();
@@ -104,6 +108,8 @@ pub(crate) struct Stage {
     /// The whole frame, which scenes fill.
     whole: Frame,
     texels_per_pixel: Option<f64>,
+    /// What is told of a frame that is only the middle of the sensor.
+    pub(crate) middle: Option<String>,
 }
 
 /// A scene in front of a lens.
@@ -120,7 +126,8 @@ impl SceneArgs {
     /// The lens of the command line, on its raster and at its depth.
     pub(crate) fn stage(&self, argument: &Named) -> Result<Stage> {
         check_texels(self.texels_per_pixel)?;
-        let lens = self.raster.lens(argument, false)?;
+        let (lens, whole) = self.raster.lens_and_sensor(argument, false)?;
+        let middle = self.raster.middle(&lens.sensor, &whole);
         crate::glasses::all_taken()?;
         let lens = match self.depth_mm {
             Some(depth) => at_depth(lens, depth, argument)?,
@@ -133,7 +140,7 @@ impl SceneArgs {
         };
         // A lens before which no scene can be placed is refused before anything is made.
         slope_per_mm(&lens.upright()?, 0.0, &whole)?;
-        Ok(Stage { lens, frame, whole, texels_per_pixel: self.texels_per_pixel })
+        Ok(Stage { lens, frame, whole, texels_per_pixel: self.texels_per_pixel, middle })
     }
 
     /// The lens and the scene of the command line.
@@ -180,6 +187,27 @@ impl SceneArgs {
 impl RasterArgs {
     /// The lens that `argument` names, one of several perhaps, on the raster of the command line; with `whole_field` the pixels grow until they span its file's sensor.
     pub(crate) fn lens(&self, argument: &Named, whole_field: bool) -> Result<Lens> {
+        self.lens_and_sensor(argument, whole_field).map(|(lens, _)| lens)
+    }
+
+    /// What is told of `sensor`, a smaller one of the own pixels of `whole` that nobody may have meant.
+    fn middle(&self, sensor: &SensorRaster, whole: &SensorRaster) -> Option<String> {
+        let seen = sensor.radius_mm() / whole.radius_mm();
+        let meant = self.pitch_um.is_some() || self.quadrant || seen >= PART;
+        (!meant).then(|| {
+            format!(
+                "{} × {} pixels of {} µm see the middle of the sensor, {:.0} % of its diagonal; --pitch-um {} sees all of it",
+                sensor.columns,
+                sensor.rows,
+                significant(sensor.pitch_um, 4),
+                1e2 * seen,
+                significant(whole.spanned(sensor.columns, sensor.rows).pitch_um, 4)
+            )
+        })
+    }
+
+    /// As [`Self::lens`], with its file's sensor.
+    fn lens_and_sensor(&self, argument: &Named, whole_field: bool) -> Result<(Lens, SensorRaster)> {
         let lens = self.f_number.applied(input::one_of_lenses(argument)?, argument)?;
         let raster = lens.sensor;
         let changed = self.columns.is_some() || self.rows.is_some();
@@ -195,7 +223,7 @@ impl RasterArgs {
         };
         let own = if whole_field { raster.spanned(columns, rows).pitch_um } else { raster.pitch_um };
         let sensor = SensorRaster { columns, rows, pitch_um: self.pitch_um.unwrap_or(own), axis_px };
-        Lens::new(Prescription { sensor, ..(*lens).clone() }, argument)
+        Ok((Lens::new(Prescription { sensor, ..(*lens).clone() }, argument)?, raster))
     }
 }
 

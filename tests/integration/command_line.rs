@@ -161,7 +161,10 @@ fn quiet_leaves_notes_out() {
     assert!(notes.contains("note: a.zmx: no sensor is stated"), "{notes}");
     assert_eq!(of("-q spot a.zmx"), (told, String::new()));
     let (_, notes) = of("render cooke_triplet text -o a.png --columns 48 --rows 32");
-    assert!(notes.contains("done in"), "{notes}");
+    assert!(
+        notes.contains("done in") && notes.contains("see the middle of the sensor, 1 % of its diagonal"),
+        "{notes}"
+    );
     assert_eq!(of("render -q cooke_triplet text -o b.png --columns 48 --rows 32").1, "");
     // A warning is no note.
     let (_, doubt) = of("distortion cooke_triplet --fields-deg 5 --quiet");

@@ -14,6 +14,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub use isoplanat_base::terminal::printable;
 
 /// Says something on stderr; what would steer a terminal is escaped ([`isoplanat_base::terminal`]).
+#[doc(hidden)]
 #[macro_export]
 macro_rules! tell {
     // Where nobody can be told the work goes on.
@@ -24,6 +25,7 @@ macro_rules! tell {
 }
 
 /// [`tell!`]s what nobody must know: left out where [`set_quiet`] asked for it.
+#[doc(hidden)]
 #[macro_export]
 macro_rules! aside {
     ($($words:tt)*) => {
@@ -37,11 +39,13 @@ macro_rules! aside {
 static QUIET: AtomicBool = AtomicBool::new(false);
 
 /// Tells warnings and errors alone from now on, no notes and no progress.
+#[doc(hidden)]
 pub fn set_quiet(quiet: bool) {
     QUIET.store(quiet, Ordering::Relaxed);
 }
 
 /// Whether warnings and errors alone are told.
+#[doc(hidden)]
 pub fn is_quiet() -> bool {
     QUIET.load(Ordering::Relaxed)
 }
@@ -53,6 +57,7 @@ static PANIC: Mutex<String> = Mutex::new(String::new());
 ///
 /// # Errors
 /// A panic.
+#[doc(hidden)]
 pub fn guarded<T>(run: impl FnOnce() -> T) -> Result<T, String> {
     std::panic::set_hook(Box::new(|panic| {
         if let Ok(mut text) = PANIC.lock() {
