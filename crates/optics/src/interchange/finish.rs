@@ -370,10 +370,10 @@ fn fields(
         ));
     }
     let heights = draft.field == FieldKind::ObjectHeight;
-    let mut stated: Vec<f64> = match heights {
-        true => points.iter().map(|p| p.x.hypot(p.y)).collect(),
-        false => beams.iter().map(|b| b.angle.to_degrees()).collect(),
-    };
+    // As the file has them: angles do not go through radians and back.
+    let exact = |p: &Point| heights || draft.field == FieldKind::Angle && (p.x == 0.0 || p.y == 0.0);
+    let one = |(p, beam): (&Point, &Beam)| if exact(p) { p.x.hypot(p.y) } else { beam.angle.to_degrees() };
+    let mut stated: Vec<f64> = points.iter().zip(&beams).map(one).collect();
     stated.sort_by(f64::total_cmp);
     let largest = stated.last().copied().unwrap_or(0.0);
     numbers.field = if heights { Field::ObjectHeight(largest) } else { Field::Angle(largest) };
