@@ -12,11 +12,13 @@ static ASKED: AtomicBool = AtomicBool::new(false);
 /// Ctrl-C, SIGTERM and SIGHUP end the program with 128 and the signal's number, and what it was writing is cleared away. Once work listens ([`asked`]) the first one
 /// is a request to that work, and the second ends the program. A file that grows beyond what the system allows (SIGXFSZ) is an error of its writer.
 /// Where the system lets no handler be set (no more files may be open, say) they do what they do to any program.
+#[doc(hidden)]
 pub fn attend() {
     let _ = attended();
 }
 
 /// From now on a first Ctrl-C does not end the program: the result says whether it was pressed.
+#[doc(hidden)]
 pub fn asked() -> impl Fn() -> bool + Copy {
     LISTENED.store(true, Ordering::SeqCst);
     || ASKED.load(Ordering::SeqCst)
