@@ -76,8 +76,8 @@ mod tests {
         let points: Vec<DVec2> = (0..20_000).map(|_| 0.5 * drawn(rng) + DVec2::new(0.2, -0.1)).collect();
         let hull = Hull::around(&points, 0.0);
         assert!(points.iter().all(|p| Hull::around(&points, 1e-12).holds(*p)));
-        for y in [-0.59, -0.3, 0.0, 0.39] {
-            let half = (0.25 - (y + 0.1) * (y + 0.1) as f64).sqrt();
+        for y in [-0.59f64, -0.3, 0.0, 0.39] {
+            let half = (0.25 - (y + 0.1).powi(2)).sqrt();
             let [a, b] = hull.chord(y).expect("a chord");
             assert!((a - (0.2 - half)).abs() < 0.03 && (b - (0.2 + half)).abs() < 0.03, "{y}: {a} {b}, {half}");
             assert!(a >= 0.2 - half - 1e-9 && b <= 0.2 + half + 1e-9);
