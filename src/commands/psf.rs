@@ -142,10 +142,16 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
 
 /// What is told of kernels by diffraction.
 fn told(figures: &WaveFigures) -> String {
-    let WaveFigures { residual_waves, spread, aperture, geometric } = figures;
+    let WaveFigures { residual_waves, spread, aperture, geometric, unfollowed } = figures;
     let of_rays = "their blur has hundreds of waves, or their pixels are hundreds of λ/NA wide";
+    let not_followed = "waves do not tell their light to a tenth, or their paths to a tenth of a wave";
     if *aperture == 0.0 {
-        return format!("by diffraction: all kernels are of rays, since {of_rays}");
+        let why = match (geometric, unfollowed) {
+            (_, 0) => of_rays.to_owned(),
+            (0, _) => not_followed.to_owned(),
+            _ => format!("{of_rays}, or {not_followed}"),
+        };
+        return format!("by diffraction: all kernels are of rays, since {why}");
     }
     let mut text = format!(
         "by diffraction: paths to {residual_waves:.0e} wavelengths; {:.2} % of the light, far from the middle, is spread evenly",
@@ -153,6 +159,9 @@ fn told(figures: &WaveFigures) -> String {
     );
     if *geometric > 0 {
         let _ = write!(text, "; {geometric} kernels of a wavelength are of rays, since {of_rays}");
+    }
+    if *unfollowed > 0 {
+        let _ = write!(text, "; {unfollowed} kernels of a wavelength are of rays, since {not_followed}");
     }
     if *aperture > SCALAR {
         let _ = write!(text, "; the angles at the image reach a sine of {aperture:.2}, where scalar waves err");
@@ -179,18 +188,20 @@ struct Told {
     spread: Option<f64>,
     largest_sine: Option<f64>,
     of_rays: usize,
+    unfollowed: usize,
 }
 
 impl From<&WaveFigures> for Told {
     fn from(figures: &WaveFigures) -> Self {
-        let WaveFigures { residual_waves, spread, aperture, geometric } = *figures;
+        let WaveFigures { residual_waves, spread, aperture, geometric, unfollowed } = *figures;
         // Nothing is known of waves where all kernels are of rays.
         let known = |v: f64| (aperture > 0.0).then_some(v);
         Self {
             residual_waves: known(residual_waves),
             spread: known(spread),
             largest_sine: known(aperture),
-            of_rays: geometric,
+            of_rays: geometric + unfollowed,
+            unfollowed,
         }
     }
 }

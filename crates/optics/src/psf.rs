@@ -12,6 +12,7 @@ mod convolved;
 #[doc(hidden)]
 pub mod corner;
 mod fit;
+pub(crate) mod hull;
 #[doc(hidden)]
 pub mod illumination;
 #[doc(hidden)]

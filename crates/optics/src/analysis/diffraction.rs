@@ -29,7 +29,6 @@ mod correlate;
 mod fault;
 mod fit;
 mod gauss;
-mod hull;
 mod pupil;
 
 use glam::DVec2;

@@ -75,18 +75,24 @@ impl Optics {
         points: &[SensorPoint],
         weights: &[f64],
     ) -> Vec<std::result::Result<PointSpread, Untold>> {
-        let pupils = |point: &SensorPoint| -> Vec<(Pupil, f64)> {
-            let of = |(l, w): (usize, &f64)| Some((self.pupil(l, depth, *point)?, *w));
-            weights.iter().enumerate().filter(|(_, w)| **w > 0.0).filter_map(of).collect()
+        type Pupils = std::result::Result<Vec<(Pupil, f64)>, Untold>;
+        let pupils = |point: &SensorPoint| -> Pupils {
+            let light = self.illumination().at(*point);
+            let of = |(l, w): (usize, &f64)| {
+                let pupil = self.pupil(l, depth, *point)?;
+                Some(if pupil.follows(light[l]) { Ok((pupil, *w)) } else { Err(Untold::Unfollowed) })
+            };
+            weights.iter().enumerate().filter(|(l, w)| **w > 0.0 && light[*l] > 0.0).filter_map(of).collect()
         };
-        let bytes = |p: &Vec<(Pupil, f64)>| PointSpread::bytes(p.iter().map(|(pupil, _)| pupil));
+        let bytes = |p: &Pupils| p.as_ref().map_or(0, |p| PointSpread::bytes(p.iter().map(|(pupil, _)| pupil)));
+        let spread = |p: &Pupils| p.as_ref().map_err(|e| *e).and_then(|p| PointSpread::new(p));
         let some = |points: &[SensorPoint]| -> Vec<_> {
-            let all: Vec<Vec<(Pupil, f64)>> = points.par_iter().map(pupils).collect();
+            let all: Vec<Pupils> = points.par_iter().map(pupils).collect();
             let most = all.iter().map(bytes).max().unwrap_or(0);
             if most.saturating_mul(threads() as u64) <= AT_ONCE {
-                all.par_iter().map(|p| PointSpread::new(p)).collect()
+                all.par_iter().map(spread).collect()
             } else {
-                all.iter().map(|p| PointSpread::new(p)).collect()
+                all.iter().map(spread).collect()
             }
         };
         points.chunks(threads().max(1)).flat_map(some).collect()

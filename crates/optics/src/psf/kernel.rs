@@ -51,6 +51,8 @@ pub struct Pencil {
     colours: Vec<Option<Colour>>,
     /// What kernels of rays are convolved with.
     opening: Option<Opening>,
+    /// Wavelengths whose pupil polynomials do not follow, and which go by rays.
+    unfollowed: usize,
 }
 
 /// The open pupil that kernels of rays are convolved with the diffraction of.
@@ -182,9 +184,18 @@ impl KernelForm {
         let point = illumination.held(point);
         let (shares, levels) = self.shares(illumination, point);
         let fed: Vec<_> = (0..table.spec.wavelength_nm.len()).map(|l| Self::fed(&shares, l)).collect();
+        let light = illumination.at(point);
+        let mut unfollowed = 0;
         let by_waves = |l: usize| {
             let waves = waves.filter(|w| w.model == Model::Waves && !fed[l].is_empty())?;
-            waves.pupil_of(table, map, l, point).filter(|pupil| pupil.is_told(self.cell_mm))
+            let pupil = waves.pupil_of(table, map, l, point);
+            // Of hundreds of waves rays tell as much.
+            if pupil.as_ref().is_some_and(|pupil| !pupil.is_told(self.cell_mm)) {
+                return None;
+            }
+            let pupil = pupil.filter(|pupil| pupil.follows(light[l]));
+            unfollowed += usize::from(pupil.is_none());
+            pupil
         };
         let mut pupils: Vec<Option<Pupil>> = (0..fed.len()).map(by_waves).collect();
         let origin = Meridian::at(table, point, |l| !fed[l].is_empty() && pupils[l].is_none());
@@ -197,7 +208,7 @@ impl KernelForm {
             })
             .collect();
         let opening = waves.filter(|w| w.model == Model::Approximate).and_then(|w| {
-            let (l, pupil) = w.opening(table, map, point)?;
+            let (l, pupil) = w.opening(table, map, point, &light)?;
             let nm = &table.spec.wavelength_nm;
             let mean = |weight: &Vec<f64>| {
                 let (sum, all) = weight.iter().zip(nm).fold((0.0, 0.0), |(s, a), (w, nm)| (s + w * nm, a + w));
@@ -206,7 +217,7 @@ impl KernelForm {
             let mean_mm = self.weight.iter().map(mean).collect();
             Some(Opening { l, pupil: Box::new(pupil), mean_mm })
         });
-        Pencil { origin: Some(origin), shares, levels, colours, opening }
+        Pencil { origin: Some(origin), shares, levels, colours, opening, unfollowed }
     }
 
     /// The light of colours that were measured: this form's weights say which channel sees which. It has no pull-back.
@@ -217,7 +228,7 @@ impl KernelForm {
             (!fed.is_empty()).then_some(Colour { fed, light: Light::Rays(rays) })
         };
         let colours = colours.into_iter().enumerate().map(of).collect();
-        Pencil { origin: None, levels: vec![1.0; shares.len()], shares, colours, opening: None }
+        Pencil { origin: None, levels: vec![1.0; shares.len()], shares, colours, opening: None, unfollowed: 0 }
     }
 
     /// Writes the fine kernels of all channels at the point of `pencil`'s radius along `outward`, `[channel][row][col]` on the
@@ -229,7 +240,8 @@ impl KernelForm {
     /// As [`Self::kernels`], with what is to be told of those by diffraction.
     pub(super) fn kernels_told(&self, pencil: &Pencil, outward: [f64; 2], out: &mut [f64]) -> (Vec<f64>, WaveFigures) {
         out.fill(0.0);
-        let (mut outside, mut figures) = (vec![0.0; self.channels()], WaveFigures::default());
+        let mut outside = vec![0.0; self.channels()];
+        let mut figures = WaveFigures::default();
         for Colour { fed, light } in pencil.colours.iter().flatten() {
             let missed = match light {
                 Light::Rays(rays) => {
@@ -244,6 +256,8 @@ impl KernelForm {
             };
             fed.iter().for_each(|(c, s)| outside[*c] += s * missed);
         }
+        figures.unfollowed = pencil.unfollowed.min(figures.geometric);
+        figures.geometric -= figures.unfollowed;
         if let Some((opening, convolution)) = self.convolution(pencil, outward) {
             let planes = out.chunks_exact_mut(self.raster.len()).zip(&opening.mean_mm);
             for ((plane, mean_mm), outside) in planes.zip(&mut outside) {

@@ -37,7 +37,7 @@ use crate::trace::aim::SensorView;
 use crate::trace::{System, SystemGradient};
 use isoplanat_base::error::Result;
 use isoplanat_base::math::memory::{product, threads};
-use pupil::{PATH_WAVES, Pulled, Shared};
+use pupil::{MISSED, PATH_WAVES, Pulled, Shared};
 
 pub(super) use open::{Open, OpenBar};
 pub use point_spread::{PointSpread, Untold};
@@ -59,6 +59,8 @@ pub struct WaveFigures {
     pub aperture: f64,
     /// Kernels of a wavelength that were made of rays, because their blur has hundreds of waves.
     pub geometric: usize,
+    /// Kernels of a wavelength that were made of rays, because polynomials do not follow their pupil.
+    pub unfollowed: usize,
 }
 
 impl WaveFigures {
@@ -70,6 +72,7 @@ impl WaveFigures {
             spread: self.spread.max(other.spread),
             aperture: self.aperture.max(other.aperture),
             geometric: self.geometric + other.geometric,
+            unfollowed: self.unfollowed + other.unfollowed,
         }
     }
 }
@@ -103,7 +106,13 @@ impl PupilBars {
 impl Pupil {
     /// What is to be told of a kernel of which a share was `spread` evenly.
     pub(super) fn figures(&self, spread: f64) -> WaveFigures {
-        WaveFigures { residual_waves: self.residual_waves, spread, aperture: self.steepest, geometric: 0 }
+        WaveFigures {
+            residual_waves: self.residual_waves,
+            spread,
+            aperture: self.steepest,
+            geometric: 0,
+            unfollowed: 0,
+        }
     }
 
     /// Adds the pull-back of a cotangent on [`Self::kernel`], which it makes again (written to `kernel`): `bar` gives the cotangent of what was made.
@@ -142,13 +151,17 @@ impl Waves {
         let left = |shared: &Shared, share: f64| {
             let (map, mm) = (&maps[0], nm[shortest] * 1e-6);
             let pupil = Pupil::trace(&views[shortest], shared, map, share * farthest, mm);
-            pupil.map_or(f64::INFINITY, |p| p.residual_waves)
+            pupil.filter(|p| p.is_open() && p.residual_waves <= MISSED[0]).map(|p| p.residual_waves)
         };
-        let worst = |shared: &Shared| LOOKED_AT.par_iter().map(|share| left(shared, *share)).reduce(|| 0.0, f64::max);
+        // How many places are not told, those without light among them; the largest residual of the others.
+        let worst = |shared: &Shared| {
+            let found: Vec<Option<f64>> = LOOKED_AT.par_iter().map(|share| left(shared, *share)).collect();
+            (found.iter().filter(|f| f.is_none()).count(), found.into_iter().flatten().fold(0.0, f64::max))
+        };
         let mut shared = Shared::new(lens, &views, degrees[0])?;
-        let mut least = if degrees.len() > 1 { worst(&shared) } else { 0.0 };
+        let mut least = if degrees.len() > 1 { worst(&shared) } else { (0, 0.0) };
         for degree in &degrees[1..] {
-            if least <= PATH_WAVES {
+            if least.1 <= PATH_WAVES {
                 break;
             }
             let finer = Shared::new(lens, &views, *degree)?;
@@ -211,13 +224,20 @@ impl Waves {
         self.path_waves
     }
 
-    /// The pupil at `point` whose opening bends light of all wavelengths, and its wavelength's number: the middle one.
-    pub(super) fn opening(&self, table: &Table, map: &SensorMap, point: SensorPoint) -> Option<(usize, Pupil)> {
+    /// The pupil at `point` whose opening bends light of all wavelengths, and its wavelength's number: the middle one; nothing where its light is not that of rays, `light`.
+    pub(super) fn opening(
+        &self,
+        table: &Table,
+        map: &SensorMap,
+        point: SensorPoint,
+        light: &[f64],
+    ) -> Option<(usize, Pupil)> {
         let nm = &table.spec.wavelength_nm;
         let mean = nm.iter().sum::<f64>() / nm.len() as f64;
         let off = |l: &usize| (nm[*l] - mean).abs();
         let middle = (0..nm.len()).min_by(|a, b| off(a).total_cmp(&off(b)))?;
-        Some((middle, self.pupil_of(table, map, middle, point)?))
+        let pupil = self.pupil_of(table, map, middle, point).filter(|p| p.follows(light[middle]))?;
+        Some((middle, pupil))
     }
 
     pub(super) fn pupil_of(&self, table: &Table, map: &SensorMap, l: usize, point: SensorPoint) -> Option<Pupil> {

@@ -6,8 +6,8 @@ use glam::{DVec2, DVec3};
 
 use super::fault::Fault;
 use super::fit::{Fitter, Surface, chebyshev, value};
-use super::hull::Hull;
 use crate::analysis::wavefront::rays::{Source, StopRay};
+use crate::psf::hull::Hull;
 use crate::trace::ObjectPoint;
 use crate::trace::aim::Aimer;
 use crate::trace::pupil::FieldPupil;

@@ -4,17 +4,25 @@
 //! coefficient's cotangent goes to the values by the transpose of the fit, and to the nodes' places by the slope of the polynomial there (and by what the fit left over).
 
 use glam::DVec2;
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use nalgebra::{Cholesky, DMatrix, DVector};
 use ndarray::Array2;
 
 use super::super::fit::{self, Evaluation, Of, Parity};
+
+/// Degrees from which the normal equations are factored twice: products of Chebyshev polynomials differ by little within a disk, from degree 22 on by less than rounding leaves of
+/// squares, and one factor could not be had at some places, by chance.
+const TWICE: usize = 15;
+/// What the first of two factors has more on its diagonal, of the largest.
+const DAMPING: f64 = 1e-14;
 
 /// Functions of one parity.
 #[derive(Clone, Debug)]
 pub(super) struct Half {
     at_nodes: Evaluation,
-    /// Of the normal equations.
-    normal: Cholesky<f64, Dyn>,
+    /// Lower factor of the normal equations.
+    factor: DMatrix<f64>,
+    /// Whether it was made of two, and fits are made twice.
+    twice: bool,
     /// Values at the nodes.
     values: Vec<Vec<f64>>,
     /// Coefficients.
@@ -35,14 +43,32 @@ pub(super) struct Fitted {
     pub(super) halves: [Half; 2],
 }
 
+/// Lower factor `L` of `A Aᵀ = L Lᵀ` for the terms `A` at the nodes; nothing where the nodes do not tell the polynomials apart.
+fn factor(all: &Array2<f64>, degree: usize) -> Option<DMatrix<f64>> {
+    let matrix = |of: &Array2<f64>| DMatrix::from_fn(of.nrows(), of.ncols(), |i, j| of[[i, j]]);
+    let squares = all.dot(&all.t());
+    if degree < TWICE {
+        return Some(Cholesky::new(matrix(&squares))?.unpack());
+    }
+    // A factor of somewhat more than the squares makes terms that are nearly orthogonal, and theirs is had without loss.
+    let damping = DAMPING * squares.diag().iter().copied().fold(0.0, f64::max);
+    let first = Cholesky::new(matrix(&(squares + Array2::<f64>::eye(all.nrows()) * damping)))?.unpack();
+    let mut terms = matrix(all);
+    let second = first.solve_lower_triangular_mut(&mut terms).then(|| Cholesky::new(&terms * terms.transpose()))??;
+    Some(first * second.unpack())
+}
+
+fn less(a: &[f64], b: &[f64]) -> Vec<f64> {
+    a.iter().zip(b).map(|(a, b)| a - b).collect()
+}
+
 impl Half {
     /// Nothing where the nodes do not tell the polynomials apart.
     fn new(nodes: &[DVec2], degree: usize, parity: Parity, values: Vec<Vec<f64>>) -> Option<Self> {
         let at_nodes = Evaluation::new(nodes, degree, parity);
-        let all = at_nodes.values();
-        let squares = all.dot(&all.t());
-        let normal = Cholesky::new(DMatrix::from_fn(squares.nrows(), squares.ncols(), |i, j| squares[[i, j]]))?;
-        let mut half = Self { at_nodes, normal, values: Vec::new(), coefficients: Vec::new() };
+        let factor = factor(at_nodes.values(), degree)?;
+        let twice = degree >= TWICE;
+        let mut half = Self { at_nodes, factor, twice, values: Vec::new(), coefficients: Vec::new() };
         half.coefficients = values.iter().map(|v| half.fit(v)).collect();
         half.values = values;
         Some(half)
@@ -50,20 +76,36 @@ impl Half {
 
     fn solved(&self, right: Vec<f64>) -> Vec<f64> {
         let mut right = DVector::from_vec(right);
-        self.normal.solve_mut(&mut right);
-        right.data.into()
+        let done =
+            self.factor.solve_lower_triangular_mut(&mut right) && self.factor.tr_solve_lower_triangular_mut(&mut right);
+        if done { right.data.into() } else { vec![f64::NAN; right.len()] }
     }
 
     /// The coefficients that fit values at the nodes best.
     fn fit(&self, values: &[f64]) -> Vec<f64> {
-        let mut right = vec![0.0; self.normal.l_dirty().nrows()];
-        self.at_nodes.pull(Of::Value, values, &mut right);
-        self.solved(right)
+        let first = self.fit_once(values);
+        if !self.twice {
+            return first;
+        }
+        // What the equations' rounding left over is fitted once more.
+        let left = less(values, &self.at_nodes.at(Of::Value, &first));
+        first.iter().zip(self.fit_once(&left)).map(|(a, b)| a + b).collect()
     }
 
     /// The transpose of [`Self::fit`].
     fn fit_vjp(&self, coefficients_bar: &[f64]) -> Vec<f64> {
-        self.at_nodes.at(Of::Value, &self.solved(coefficients_bar.to_vec()))
+        let first = self.at_nodes.at(Of::Value, &self.solved(coefficients_bar.to_vec()));
+        if !self.twice {
+            return first;
+        }
+        let again = self.at_nodes.at(Of::Value, &self.fit_once(&first));
+        first.iter().zip(less(&first, &again)).map(|(a, b)| a + b).collect()
+    }
+
+    fn fit_once(&self, values: &[f64]) -> Vec<f64> {
+        let mut right = vec![0.0; self.factor.nrows()];
+        self.at_nodes.pull(Of::Value, values, &mut right);
+        self.solved(right)
     }
 
     /// Values at the nodes of the functions from `first` on.
@@ -73,8 +115,7 @@ impl Half {
 
     /// Values of function `k` at the nodes less the polynomial's.
     fn left(&self, k: usize) -> Vec<f64> {
-        let fitted = self.at_nodes.at(Of::Value, &self.coefficients[k]);
-        self.values[k].iter().zip(fitted).map(|(v, f)| v - f).collect()
+        less(&self.values[k], &self.at_nodes.at(Of::Value, &self.coefficients[k]))
     }
 
     /// Pulls cotangents on the coefficients back to the values (returned) and to the nodes (added).

@@ -48,6 +48,9 @@ pub enum Untold {
     /// Hundreds of waves.
     #[error("the blur has hundreds of waves")]
     Blurred,
+    /// Paths or light that the polynomials of a pupil do not follow.
+    #[error("paths are not told there well enough for waves")]
+    Unfollowed,
 }
 
 /// The light of one sensor point, all wavelengths by theirs.

@@ -26,6 +26,10 @@ use isoplanat_base::math::memory::product;
 pub(super) const PATH_WAVES: f64 = 1e-4;
 /// Samples across the pupil, at least and at most.
 const ACROSS: [f64; 2] = [64.0, 1024.0];
+/// What a pupil may miss where kernels and point spreads are made of it: root mean square residual of its path, wavelengths; light, of that of rays.
+pub(super) const MISSED: [f64; 2] = [0.1, 0.1];
+/// Samples across the pupil where its light is counted.
+const COUNTED: f64 = 64.0;
 /// Periods to an octave.
 const STEPS: f64 = 8.0;
 /// Cells in a period, at least.
@@ -45,7 +49,7 @@ pub(super) struct Shared {
 
 impl Shared {
     pub(super) fn new(lens: &Lens, views: &[SensorView], degree: usize) -> Result<Self> {
-        let bases = Bases::new(degree, false);
+        let bases = Bases::new(degree, true);
         let pupil = beam::pupil(views, &bases).map_err(|f| super::super::table::failed(lens, 0.0, f))?;
         let entrance = first_order(lens, lens.wavelengths.primary_nm).entrance_pupil_position;
         Ok(Self { bases, pupil, entrance })
@@ -288,6 +292,18 @@ impl Pupil {
         self.least() <= most && cell_mm <= most / CELLS
     }
 
+    /// Whether some ray is stopped by no aperture.
+    pub(super) fn is_open(&self) -> bool {
+        (0..self.functions.tau.len()).any(|j| is_clear(&self.functions.fitted, j))
+    }
+
+    /// Whether the polynomials follow the pupil: their paths, and the light within their edges, which is `light` by rays.
+    pub(in crate::psf) fn follows(&self, light: f64) -> bool {
+        let period = COUNTED * self.wavelength_mm / (2.0 * self.aperture_half());
+        let counted = || self.functions.open_field(&Sampling::new(&self.functions, [1.0, 0.0], period)).light;
+        self.residual_waves <= MISSED[0] && (counted() - light).abs() <= MISSED[1] * light
+    }
+
     /// Smallest period that the blur asks for, mm: beside it there is room, and edges' light that lands far from them, at the blur's other side, is told.
     pub(super) fn least(&self) -> f64 {
         (2.0 * self.reach_mm + self.margin()).max(self.reach_mm / TOLD)
@@ -326,11 +342,15 @@ pub(super) fn stepped(wanted: f64) -> f64 {
     ((wanted.log2() * STEPS).ceil() / STEPS).exp2()
 }
 
+/// Whether no aperture stops the ray of a node.
+fn is_clear(fitted: &Fitted, node: usize) -> bool {
+    fitted.halves[0].values(CLIPS).iter().all(|clip| clip[node] >= 0.0)
+}
+
 /// Half the sides of the box around the rays that no aperture stops and their mirror images; a tenth of all where a box of rays is less.
 fn opening(tau: &[DVec2], fitted: &Fitted) -> DVec2 {
-    let clear = |j: &usize| fitted.halves[0].values(CLIPS).iter().all(|clip| clip[*j] >= 0.0);
     let (mut low, mut high, mut across) = (f64::INFINITY, f64::NEG_INFINITY, 0.0f64);
-    for t in (0..tau.len()).filter(clear).map(|j| tau[j]) {
+    for t in (0..tau.len()).filter(|j| is_clear(fitted, *j)).map(|j| tau[j]) {
         (low, high, across) = (low.min(t.y), high.max(t.y), across.max(t.x.abs()));
     }
     let least = 0.1 * fitted.half;

@@ -10,12 +10,14 @@ use ndarray::Array2;
 use rustfft::num_complex::Complex;
 
 use super::super::fit::{apply, apply_transposed, chebyshev};
+use super::super::hull::Hull;
 use super::cell::{shares, shares_vjp, sharpened};
 use super::fitted::Bars;
 use super::functions::{CLIPS, COSINE, ODD_COSINE, ODD_STOP, PATH, PupilFunctions, STOP};
 
-/// How far beyond the box around the nodes' `τ`, in half its sides, cells are looked at: polynomials of a whole stop, whose pupil is nearly round, and of a part of it.
-const BEYOND: [f64; 2] = [1.25, 1.6];
+/// Room around the nodes within which cells are looked at, in half the sides of the box around them: what the chords between nodes on the rim leave of it, in squares of the
+/// nodes' half turn, and what the outermost rows of a part of the stop leave at its ends.
+const ROOM: [f64; 2] = [1.0, 0.015];
 
 /// Cells around the box: sharpened edges have some light as far as four of them, and the outermost are closed.
 const MARGIN: usize = 5;
@@ -54,7 +56,7 @@ impl Sampling {
             }
         }
         // Nodes stand between the ends of the box, so many to a half-turn of the rim; then the margin.
-        let turn = PI / (2.0 * (pupil.fitted.degree + 2) as f64);
+        let turn = pupil.half_turn();
         let half = 0.5 * (1.01 + 0.6 * turn * turn) * (high - low);
         // A raster that stands still while the pupil moves a little over it: its own error does not enter derivatives.
         let middle = (0.5 * (low + high) / step).round() * step;
@@ -176,6 +178,31 @@ impl PupilFunctions {
         (1, &self.fitted.halves[1].coefficients[k])
     }
 
+    /// Half the angle between nodes on the rim.
+    fn half_turn(&self) -> f64 {
+        PI / (2.0 * (self.fitted.degree + 2) as f64)
+    }
+
+    /// The cells of a raster that lie where rays are, and a little beyond: farther out polynomials say nothing, and may be open where no light is.
+    fn looked_at(&self, sampling: &Sampling) -> Array2<bool> {
+        let turn = self.half_turn();
+        let mirrored = self.tau.iter().flat_map(|t| [*t, DVec2::new(-t.x, t.y)]);
+        let places: Vec<DVec2> = mirrored.map(|t| (t - self.fitted.middle) / self.fitted.half).collect();
+        let hull = Hull::around(&places, ROOM[0] * turn * turn + ROOM[1]);
+        // In half sides of the box, by cells along columns and rows.
+        let at = |x: f64, y: f64| (sampling.tau(DVec2::new(x, y)) - self.fitted.middle) / self.fitted.half;
+        let [columns, rows] = sampling.cells;
+        let [first, last_column, last_row] = [at(-1.0, -1.0), at(1.0, -1.0), at(-1.0, 1.0)];
+        let [column, row] =
+            [(last_column, columns), (last_row, rows)].map(|(last, count)| (last - first) / (count - 1) as f64);
+        let mut inside = Array2::from_elem((rows, columns), false);
+        for (i, mut line) in inside.outer_iter_mut().enumerate() {
+            let Some([low, high]) = hull.cut(first + i as f64 * row, column) else { continue };
+            line.iter_mut().enumerate().for_each(|(j, v)| *v = (low..=high).contains(&(j as f64)));
+        }
+        inside
+    }
+
     /// The field on a raster.
     pub(super) fn field(&self, sampling: &Sampling) -> Field {
         self.field_of(sampling, true)
@@ -191,15 +218,7 @@ impl PupilFunctions {
         let [lx, ly] = [Along::X, Along::Y].map(|of| way.raster(self.odd(ODD_COSINE), of));
         let [mx, my] = [Along::X, Along::Y].map(|of| way.raster(self.even(COSINE), of));
         let stop = [way.raster(self.odd(ODD_STOP), Along::Value), way.raster(self.even(STOP), Along::Value)];
-        let beyond = BEYOND[usize::from(!self.part.is_whole())].powi(2);
-        // In half sides of the box, by cells along columns and rows.
-        let at = |x: f64, y: f64| (sampling.tau(DVec2::new(x, y)) - self.fitted.middle) / self.fitted.half;
-        let [first, last_column, last_row] = [at(-1.0, -1.0), at(1.0, -1.0), at(-1.0, 1.0)];
-        let [column, row] = [(last_column, sampling.cells[0]), (last_row, sampling.cells[1])]
-            .map(|(last, count)| (last - first) / (count - 1) as f64);
-        let inside = Array2::from_shape_fn(lx.dim(), |(i, j)| {
-            (first + i as f64 * row + j as f64 * column).length_squared() <= beyond
-        });
+        let inside = self.looked_at(sampling);
         let edges = self.edges(&way, &stop);
         let shares = shares(&edges, &inside);
         let sharp = sharpened(&shares);

@@ -19,6 +19,7 @@ use crate::psf::{Optics, OpticsBar, OpticsSpec, Quadrature, SensorMap};
 mod extreme;
 mod open;
 mod point_spread;
+mod wide;
 
 const NM: f64 = 550.0;
 

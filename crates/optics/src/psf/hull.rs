@@ -4,13 +4,13 @@ use glam::DVec2;
 
 /// A convex polygon as the half planes `n · p ≤ d` that make it.
 #[derive(Clone, Debug)]
-pub(super) struct Hull {
+pub(crate) struct Hull {
     planes: Vec<(DVec2, f64)>,
 }
 
 impl Hull {
     /// The hull of `points`, every side moved outwards by `room`. Fewer than three points apart have none: everything is within.
-    pub(super) fn around(points: &[DVec2], room: f64) -> Self {
+    pub(crate) fn around(points: &[DVec2], room: f64) -> Self {
         let corners = corners(points);
         let sides = corners.iter().zip(corners.iter().cycle().skip(1));
         let plane = |(a, b): (&DVec2, &DVec2)| {
@@ -21,23 +21,30 @@ impl Hull {
     }
 
     /// Whether `point` lies within.
-    pub(super) fn holds(&self, point: DVec2) -> bool {
+    pub(crate) fn holds(&self, point: DVec2) -> bool {
         self.planes.iter().all(|(n, d)| n.dot(point) <= *d)
     }
 
-    /// Its part of the line of constant `y`, within −1 to 1.
-    pub(super) fn chord(&self, y: f64) -> Option<[f64; 2]> {
-        let (mut low, mut high) = (-1.0f64, 1.0f64);
+    /// The part of the line `from + t · along` within it, from the least `t` to the greatest; none where it is beside the hull.
+    pub(crate) fn cut(&self, from: DVec2, along: DVec2) -> Option<[f64; 2]> {
+        let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
         for (n, d) in &self.planes {
-            let (rest, end) = (d - n.y * y, (d - n.y * y) / n.x);
-            if n.x > 0.0 {
-                high = high.min(end);
-            } else if n.x < 0.0 {
-                low = low.max(end);
+            let (slope, rest) = (n.dot(along), d - n.dot(from));
+            if slope > 0.0 {
+                high = high.min(rest / slope);
+            } else if slope < 0.0 {
+                low = low.max(rest / slope);
             } else if rest < 0.0 {
                 return None;
             }
         }
+        (high > low).then_some([low, high])
+    }
+
+    /// Its part of the line of constant `y`, within −1 to 1.
+    pub(crate) fn chord(&self, y: f64) -> Option<[f64; 2]> {
+        let [low, high] = self.cut(DVec2::new(0.0, y), DVec2::X)?;
+        let (low, high) = (low.max(-1.0), high.min(1.0));
         (high > low).then_some([low, high])
     }
 }
@@ -84,6 +91,14 @@ mod tests {
         }
         assert!(hull.chord(0.41).is_none() && hull.chord(-0.61).is_none());
         assert!(!hull.holds(DVec2::new(0.2, 0.41)));
+        // Along any line.
+        let (from, along) = (DVec2::new(-0.7, -0.6), DVec2::new(0.02, 0.011));
+        let [low, high] = hull.cut(from, along).expect("meets");
+        for t in [low + 1e-9, 0.5 * (low + high), high - 1e-9] {
+            assert!(hull.holds(from + t * along));
+        }
+        assert!(!hull.holds(from + (low - 1e-6) * along) && !hull.holds(from + (high + 1e-6) * along));
+        assert_eq!(hull.cut(from, DVec2::Y), None);
     }
 
     /// Points on a line, or none, leave everything open.
