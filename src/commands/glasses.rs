@@ -27,7 +27,7 @@ pub(crate) fn set(files: &[PathBuf], instead: &[String]) -> Result<()> {
     for pair in instead {
         let bad = |found: String, allowed: &str| Error::bad("--glass-for", "value", found, allowed);
         let Some((name, glass)) = pair.split_once('=').filter(|(n, g)| !n.is_empty() && !g.is_empty()) else {
-            return Err(bad(format!("`{pair}`"), "NAME=GLASS, such as SSK4=SSK4A"));
+            return Err(bad(format!("`{pair}`"), "NAME=GLASS, such as SSK4=SSK4A or SSK4=1.6177,55.1"));
         };
         all.take_instead(name, glass).map_err(|e| e.at("value").of_file("--glass-for"))?;
     }

@@ -87,8 +87,8 @@ struct Cli {
     /// The folder that ISOPLANAT_GLASSES names is read too
     #[arg(long, global = true, value_name = "FILE")]
     glass: Vec<std::path::PathBuf>,
-    /// A glass to take where a lens names another, such as SSK4=SSK4A; SSK4=model takes the index and Abbe number of the line that names it;
-    /// as often as wanted
+    /// A glass to take where a lens names another, such as SSK4=SSK4A; SSK4=1.6177,55.1 takes a model glass,
+    /// SSK4=model that of the line that names it; as often as wanted
     #[arg(long, global = true, value_name = "NAME=GLASS")]
     glass_for: Vec<String>,
     /// Refuse a lens file with keywords that are not known, in place of a note

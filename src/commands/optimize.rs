@@ -185,11 +185,37 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if let Some(folder) = &args.best {
         atomic::write_folder(folder, MARKER, args.common.force, |folder| keep(folder, &found))?;
     }
-    doubts(&problem, &outcome).iter().for_each(|doubt| crate::tell!("warning: {doubt}"));
+    doubts(&spec, &problem, &outcome).iter().for_each(|doubt| crate::tell!("warning: {doubt}"));
     if args.common.json {
-        json(&outcome, chosen, &found, out)
+        json(&outcome, chosen, &found, out)?;
     } else {
-        text(args, &problem, &outcome, (&chosen, &found), out)
+        text(args, &problem, &outcome, (&chosen, &found), out)?;
+    }
+    out.flush()?;
+    // The lens is there for who wants to look; who goes on without looking is stopped.
+    let asked_for = |h: &&Valued<Constraint>| spec.asks_for(&problem, h.of.quantity);
+    let broken: Vec<String> = outcome.broken().filter(asked_for).take(MOST_BROKEN).map(said(&problem)).collect();
+    anyhow::ensure!(
+        broken.is_empty(),
+        "{}: what was asked for is not kept: {}",
+        args.output.display(),
+        broken.join("; ")
+    );
+    Ok(())
+}
+
+/// A broken constraint in words.
+fn said(problem: &Problem) -> impl Fn(&Valued<Constraint>) -> String {
+    move |held| {
+        let quantity = held.of.quantity;
+        // With as many digits as tell the value from its bounds.
+        let beside = |digits: &usize| {
+            let value = significant(held.value, *digits);
+            held.of.bounds.iter().all(|b| significant(*b, *digits) != value)
+        };
+        let digits = (5..=12).find(beside).unwrap_or(12);
+        let value = [significant(held.value, digits), quantity.unit().to_owned()].join(" ");
+        format!("{} is {} (allowed: {})", problem.words(quantity), value.trim_end(), allowed(held.of.bounds))
     }
 }
 
@@ -218,24 +244,14 @@ fn near_focus(lens: &Lens) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What whoever takes the lens should know: that it is no better, which constraints it breaks, and that its distortion grew where nothing holds it.
-fn doubts(problem: &Problem, o: &Outcome) -> Vec<String> {
+/// What whoever takes the lens should know: that it is no better, which of the constraints that nobody asked for it breaks, and that its distortion grew where nothing holds it.
+fn doubts(spec: &Spec, problem: &Problem, o: &Outcome) -> Vec<String> {
     let mut all = Vec::new();
-    let said = |held: &Valued<Constraint>| {
-        let quantity = held.of.quantity;
-        // With as many digits as tell the value from its bounds.
-        let beside = |digits: &usize| {
-            let value = significant(held.value, *digits);
-            held.of.bounds.iter().all(|b| significant(*b, *digits) != value)
-        };
-        let digits = (5..=12).find(beside).unwrap_or(12);
-        let value = [significant(held.value, digits), quantity.unit().to_owned()].join(" ");
-        format!("{} is {} (allowed: {})", problem.words(quantity), value.trim_end(), allowed(held.of.bounds))
-    };
-    let broken: Vec<String> = o.broken().take(MOST_BROKEN).map(said).collect();
+    let standard = |h: &&Valued<Constraint>| !spec.asks_for(problem, h.of.quantity);
+    let broken: Vec<String> = o.broken().filter(standard).take(MOST_BROKEN).map(said(problem)).collect();
     if !broken.is_empty() {
-        let standard = "what is held without being asked for is replaced by name, such as `--constraint track=..`";
-        all.push(format!("constraints are broken: {}; {standard}", broken.join("; ")));
+        let replaced = "what is held without being asked for is replaced by name, such as `--constraint track=..`";
+        all.push(format!("constraints are broken: {}; {replaced}", broken.join("; ")));
     }
     let [before, after] = o.rms_mm.map(|v| significant(1e3 * v, 4));
     if o.rms_mm[1] > o.rms_mm[0] * (1.0 + 1e-9) {

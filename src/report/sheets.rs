@@ -324,8 +324,17 @@ mod tests {
         let tolerances = Tolerances::parse(text, "t.toml").expect("reads");
         let made = Fabrication::new(&lens, &tolerances, None).expect("made");
         let page = Sheets { lens: &lens, made: &made, tolerances: &tolerances, files: &[] }.page();
-        for expected in ["3/ 3(0.5)", "5/ 5×0.16", "4/ 2′", "Rq 5 nm", "±0.05 mm", "1/ 1×0.25", "0/ –", "632.8 nm"]
-        {
+        for expected in [
+            "tolerance of n_d",
+            "3/ 3(0.5)",
+            "5/ 5×0.16",
+            "4/ 2′",
+            "Rq 5 nm",
+            "±0.05 mm",
+            "1/ 1×0.25",
+            "0/ –",
+            "632.8 nm",
+        ] {
             assert!(page.contains(expected), "{expected}");
         }
     }

@@ -16,7 +16,6 @@ mod finish;
 mod json;
 mod line_glass;
 mod media;
-mod model_glass;
 mod order;
 mod own;
 mod seq;

@@ -29,6 +29,7 @@ pub mod dispersion;
 pub mod freeform;
 pub mod glass;
 pub mod gradient;
+pub(crate) mod model_glass;
 pub mod numbers;
 pub mod paraxial;
 pub mod pose;

@@ -133,7 +133,9 @@ pub(super) fn indications(e: &Element, tolerances: &Tolerances) -> Table {
     };
     let nm = tolerances.test_wavelength_nm;
     for (k, (label, unit)) in
-        [("R ±, mm", " mm"), ("R ±, per cent", " %"), ("R ±, fringes", "")].into_iter().enumerate()
+        [("tolerance of R, mm", " mm"), ("tolerance of R, per cent", " %"), ("tolerance of R, fringes", "")]
+            .into_iter()
+            .enumerate()
     {
         of_faces(label, &|f, t| tolerance(radius_tolerances(f, t, nm)[k], unit));
     }
@@ -152,8 +154,8 @@ pub(super) fn indications(e: &Element, tolerances: &Tolerances) -> Table {
         let cells = fields.iter().map(|f| if matches!(f, Field::Glass) { text.clone() } else { String::new() });
         table.row(std::iter::once(label.to_owned()).chain(cells));
     };
-    of_glass("n_d ±", tolerance(of.n_d_tolerance, ""));
-    of_glass("v_d ±", tolerance(of.v_d_tolerance_percent, " %"));
+    of_glass("tolerance of n_d", tolerance(of.n_d_tolerance, ""));
+    of_glass("tolerance of v_d", tolerance(of.v_d_tolerance_percent, " %"));
     of_glass("0/ birefringence", indication("0/", of.stress_nm_per_cm.map(|x| significant(x, 4))));
     of_glass("1/ bubbles", indication("1/", of.bubbles.clone()));
     of_glass("2/ homogeneity", indication("2/", of.inhomogeneity.clone()));

@@ -7,9 +7,9 @@
 //! up from another line or may be substituted, the line keeps the numbers of what stood there before; 1.5168 and 64.17, those of N-BK7, are what it keeps most
 //! often. Such numbers are not held against a glass; where they differ that is told. They still serve as a model glass when that is asked for.
 
-use super::model_glass::{LINES_NM, cauchy_of_lines, fictitious, lines_of};
 use crate::lens::Medium;
 use crate::lens::catalogue::{Glasses, MODEL, Naming};
+use crate::lens::model_glass::{LINES_NM, cauchy_of_lines, fictitious, lines_of};
 use isoplanat_base::error::{Error, Result};
 
 /// Largest difference of two statements of one index at 587.5618 nm.

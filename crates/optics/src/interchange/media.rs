@@ -1,9 +1,9 @@
 //! Media as other programs' files state them.
 
 use super::line_glass::OfLine;
-use super::model_glass::{cauchy_of_lines, constant};
 use crate::lens::Medium;
 use crate::lens::catalogue::{Glasses, Naming};
+use crate::lens::model_glass::{cauchy_of_lines, constant};
 use isoplanat_base::error::Result;
 
 /// A medium before it is looked up.

@@ -2,9 +2,9 @@
 
 use std::fmt::Write;
 
-use super::model_glass::{lines_of, lines_of_table};
 use super::text::plain;
 use crate::lens::catalogue::{Glasses, Naming};
+use crate::lens::model_glass::{lines_of, lines_of_table};
 use crate::lens::{Aperture, Lens, Medium, Shape, Surface, paraxial, place_of_medium};
 use isoplanat_base::error::{Error, Result};
 

@@ -11,6 +11,7 @@ use serde::Deserialize;
 
 use super::Medium;
 use super::dispersion::{Dispersion, Formula};
+use super::model_glass::{cauchy_of_lines, fictitious};
 use isoplanat_base::error::{Error, Result};
 
 mod agf;
@@ -256,7 +257,10 @@ impl Glasses {
                 let allowed = "two numbers beside the name, as --glass-for NAME=model takes them";
                 Err(Error::bad("", "medium", found, allowed))
             }
-            Some(glass) => self.respelled(glass, &[]),
+            Some(glass) => match fictitious(glass) {
+                Some((n_d, v_d)) => cauchy_of_lines(n_d, v_d),
+                None => self.respelled(glass, &[]),
+            },
             None => self.catalogued(name, naming),
         }
     }

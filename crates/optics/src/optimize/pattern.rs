@@ -20,10 +20,9 @@ pub fn parameters(lens: &Lens, pattern: &str, file: &str) -> Result<Vec<Paramete
     let refracting: Vec<Parameter> = named.iter().copied().filter(meant).collect();
     let found = if refracting.is_empty() { named } else { refracting };
     if found.is_empty() {
-        let mut names: Vec<String> = Parameter::all(lens).filter(|p| movable(p.kind)).map(|p| p.name(lens)).collect();
-        names.dedup();
-        let near = names.iter().take(60).cloned().collect::<Vec<_>>().join(", ");
-        return Err(Error::bad(file, "variable", pattern, format!("names or patterns of the lens's numbers: {near}")));
+        let names = Parameter::all(lens).filter(|p| movable(p.kind)).map(|p| p.name(lens));
+        let allowed = format!("names or patterns of the lens's numbers: {}", together(names).join(", "));
+        return Err(Error::bad(file, "variable", pattern, allowed));
     }
     let free: Vec<Parameter> = found.iter().copied().filter(|p| movable(p.kind)).collect();
     if free.is_empty() {
@@ -31,6 +30,36 @@ pub fn parameters(lens: &Lens, pattern: &str, file: &str) -> Result<Vec<Paramete
         return Err(Error::bad(file, "variable", pattern, allowed));
     }
     Ok(free)
+}
+
+/// Names, those that differ by the number in brackets as one pattern: `surface[0..7].curvature`, or with `*` where numbers are missing between. In the order of their first.
+fn together(names: impl Iterator<Item = String>) -> Vec<String> {
+    let mut groups: Vec<(String, String, Vec<usize>)> = Vec::new();
+    for name in names {
+        let numbered = name.split_once('[').and_then(|(before, rest)| {
+            let (number, after) = rest.split_once(']')?;
+            Some((before.to_owned(), after.to_owned(), number.parse().ok()?))
+        });
+        let (before, after, number) = match numbered {
+            Some((before, after, number)) => (before, after, vec![number]),
+            None => (name, String::new(), Vec::new()),
+        };
+        match groups.iter_mut().find(|g| (&g.0, &g.1) == (&before, &after)) {
+            Some(group) => group.2.extend(number),
+            None => groups.push((before, after, number)),
+        }
+    }
+    let one = |(before, after, mut numbers): (String, String, Vec<usize>)| {
+        numbers.sort_unstable();
+        numbers.dedup();
+        match numbers[..] {
+            [] => before,
+            [only] => format!("{before}[{only}]{after}"),
+            [first, .., last] if last - first + 1 == numbers.len() => format!("{before}[{first}..{}]{after}", last + 1),
+            _ => format!("{before}[*]{after}"),
+        }
+    };
+    groups.into_iter().map(one).collect()
 }
 
 /// Whether rays have derivatives by it and a design may move it.
@@ -111,7 +140,11 @@ mod tests {
         assert_eq!(named("surface[1].a4").expect("found"), ["surface[1].a4"]);
         assert_eq!(named("surface[*].n_d").expect("found").len(), 3);
         assert_eq!(named("surface[0].*").expect("found").len(), 5);
-        assert!(named("surface[9].curvature").expect_err("nine").contains("surface[0].curvature"));
+        let told = named("surface[9].curvature").expect_err("nine");
+        assert!(told.contains("surface[0..7].curvature, ") && told.len() < 600, "{told}");
+        // What is told is taken.
+        let patterns = told.split_once("numbers: ").expect("a list").1;
+        assert!(patterns.trim_end_matches(')').split(", ").all(|p| named(p).is_ok()), "{patterns}");
         assert!(named("surface[*].semi_diameter").expect_err("no variable").contains("semi_diameter"));
         assert!(named("*").is_err() && named("").is_err() && named("[[..*").is_err());
     }

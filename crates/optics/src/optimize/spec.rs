@@ -210,6 +210,13 @@ impl Spec {
         Ok(problem)
     }
 
+    /// Whether somebody asked for a constraint of [`Self::problem`], in place of the standard ones.
+    #[doc(hidden)]
+    pub fn asks_for(&self, problem: &Problem, quantity: Quantity) -> bool {
+        let of = |name: &String| quantities(&problem.lens, &problem.merit, "constraint", name, "");
+        self.constraints.keys().any(|name| of(name).is_ok_and(|all| all.contains(&quantity)))
+    }
+
     /// Whether another f-number than the lens has is asked for, to which its focal length has to give way: its aperture is stated by another size, which stays.
     fn releases_focal_length(&self, lens: &Lens) -> bool {
         if matches!(lens.aperture, Aperture::FNumber(_))

@@ -5,9 +5,9 @@ use std::ops::Range;
 use super::{Reader, few};
 use crate::interchange::draft::Stage;
 use crate::interchange::media::Stated;
-use crate::interchange::model_glass::fictitious;
 use crate::interchange::text::{Line, shown};
 use crate::lens::check::MAX_SURFACES;
+use crate::lens::model_glass::fictitious;
 use isoplanat_base::error::{Location, Result};
 
 /// Decentres and tilts.

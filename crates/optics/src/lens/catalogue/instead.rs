@@ -1,4 +1,4 @@
-//! Glasses that are taken in the place of others because somebody said so (`--glass-for NAME=GLASS`).
+//! Glasses that are taken in the place of others because somebody said so (`--glass-for NAME=GLASS`, `--glass-for NAME=1.5168,64.17`).
 //!
 //! The name may stand as the catalogue has it (`N-LAK22`), with its maker (`SCHOTT/N-LAK22`) or as the lens file spells it (`NLAK22_SCHOTT`): case,
 //! hyphens and the place of the maker do not matter. Which names lenses have is kept, so that a name that no lens has can be refused.
@@ -7,6 +7,7 @@ use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::{Glasses, Naming, spelled};
+use crate::lens::model_glass::{cauchy_of_lines, fictitious};
 use isoplanat_base::error::{Error, Result};
 
 /// What is taken in the place of what, and the names that were looked up meanwhile.
@@ -39,7 +40,7 @@ struct Named<'a> {
 
 impl Glasses {
     /// Takes `glass` wherever a lens names `name`; refused where `glass` is none. `model` stands for the index and the Abbe number that a
-    /// file states beside the name.
+    /// file states beside the name, `1.5168,64.17` for a model glass of these two numbers.
     ///
     /// # Errors
     /// An unknown glass in the place of the other; a glass in the place of air.
@@ -47,7 +48,9 @@ impl Glasses {
         if name.eq_ignore_ascii_case("air") {
             return Err(Error::bad("", "medium", "a glass for air", "the name of a glass"));
         }
-        if !glass.eq_ignore_ascii_case(super::MODEL) {
+        if let Some((n_d, v_d)) = fictitious(glass) {
+            cauchy_of_lines(n_d, v_d)?;
+        } else if !glass.eq_ignore_ascii_case(super::MODEL) {
             self.catalogued(glass, Naming::Foreign(&[]))?;
         }
         // What others of which this is a copy have seen is theirs.
@@ -121,6 +124,18 @@ impl Glasses {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Two numbers stand for a model glass; what no glass has is refused.
+    #[test]
+    fn two_numbers_are_a_glass() {
+        let mut glasses = Glasses::shipped().clone();
+        glasses.take_instead("N-BK7", "1.56,44.5").expect("taken");
+        let medium = glasses.find("N-BK7", Naming::Exact).expect("found");
+        assert!((medium.index(587.5618) - 1.56).abs() < 1e-12, "{medium}");
+        for wrong in ["0.5,44", "1.56,x", "1.56,", "nan,44"] {
+            assert!(glasses.take_instead("N-BK7", wrong).is_err(), "{wrong}");
+        }
+    }
 
     /// A name is met however catalogue, maker and file spell it, and another maker's is not; names that nobody has are told.
     #[test]

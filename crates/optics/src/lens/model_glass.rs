@@ -1,15 +1,15 @@
 //! Model glasses: an index and an Abbe number in a catalogue's place.
 
-use crate::lens::Medium;
+use super::Medium;
 use isoplanat_base::error::{Error, Result};
 
 /// Lines d, F, C of catalogues, nm.
-pub(super) const LINES_NM: [f64; 3] = [587.561_8, 486.132_7, 656.272_5];
+pub(crate) const LINES_NM: [f64; 3] = [587.561_8, 486.132_7, 656.272_5];
 
-/// Index and Abbe number of a fictitious glass: `517642`, `516800.641673` or `1.5168:64.17`.
-pub(super) fn fictitious(name: &str) -> Option<(f64, f64)> {
-    if let Some((n, v)) = name.split_once(':') {
-        return Some((n.parse().ok()?, v.parse().ok()?));
+/// Index and Abbe number of a fictitious glass: `517642`, `516800.641673`, `1.5168:64.17` or `1.5168,64.17`.
+pub(crate) fn fictitious(name: &str) -> Option<(f64, f64)> {
+    if let Some((n, v)) = name.split_once([':', ',']) {
+        return Some((n.trim().parse().ok()?, v.trim().parse().ok()?));
     }
     let digits = |s: &str| !s.is_empty() && s.len() <= 12 && s.bytes().all(|b| b.is_ascii_digit());
     let (n, v) = match name.split_once('.') {
@@ -22,7 +22,7 @@ pub(super) fn fictitious(name: &str) -> Option<(f64, f64)> {
 }
 
 /// A constant index is a table over all wavelengths that a lens may have.
-pub(super) fn constant(n: f64) -> Result<Medium> {
+pub(crate) fn constant(n: f64) -> Result<Medium> {
     if n == 1.0 {
         return Ok(Medium::Air);
     }
@@ -34,7 +34,7 @@ pub(super) fn constant(n: f64) -> Result<Medium> {
 
 /// The two-term Cauchy curve that has the index `n_d` at the d line and the Abbe number `v_d` of d, F, C, as the pair of eq. 8: the
 /// same curve by its values at that equation's own lines.
-pub(super) fn cauchy_of_lines(n_d: f64, v_d: f64) -> Result<Medium> {
+pub(crate) fn cauchy_of_lines(n_d: f64, v_d: f64) -> Result<Medium> {
     if v_d == 0.0 {
         // Programs write 0 for "no dispersion stated".
         return constant(n_d);
@@ -53,13 +53,13 @@ pub(super) fn cauchy_of_lines(n_d: f64, v_d: f64) -> Result<Medium> {
 }
 
 /// Index at the d line and Abbe number of d, F, C of a medium, as files state model glasses; 0 stands for no dispersion.
-pub(super) fn lines_of(medium: &Medium) -> (f64, f64) {
+pub(crate) fn lines_of(medium: &Medium) -> (f64, f64) {
     let [d, f, c] = LINES_NM.map(|nm| medium.index(nm));
     (d, if f == c { 0.0 } else { (d - 1.0) / (f - c) })
 }
 
 /// [`lines_of`] a table that follows a model glass's curve, as one that was written for such a glass does; nothing where it does not.
-pub(super) fn lines_of_table(medium: &Medium) -> Option<(f64, f64)> {
+pub(crate) fn lines_of_table(medium: &Medium) -> Option<(f64, f64)> {
     const CLOSE: f64 = 1e-9;
     let Medium::Table { wavelength_nm, index } = medium else { return None };
     let [short, long] = medium.range_nm();
@@ -97,6 +97,7 @@ mod tests {
         assert_eq!(fictitious("517642"), Some((1.517, 64.2)));
         assert_eq!(fictitious("516800.641673"), Some((1.5168, 64.1673)));
         assert_eq!(fictitious("1.5168:64.17"), Some((1.5168, 64.17)));
+        assert_eq!(fictitious("1.5168, 64.17"), Some((1.5168, 64.17)));
         assert_eq!(fictitious("NBK7_SCHOTT"), None);
         assert_eq!(fictitious("F2"), None);
     }
