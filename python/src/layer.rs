@@ -473,7 +473,7 @@ impl Layer {
         let planned = self.inner.clone();
         let (all, light, renderer, lens, mut patches) = work(py, || {
             let scenes = scenes.into_dimensionality::<Ix4>().map_err(|e| Error::Internal(e.to_string()))?;
-            if let Some((place, v)) = scenes.indexed_iter().find(|(_, v)| !v.is_finite()) {
+            if let Some((place, v)) = scenes.indexed_iter().find(|(_, v)| !fits(v.to_double())) {
                 let place = format!("scenes, {place:?}");
                 return Err(Error::bad("", place, v.to_double().to_string(), "finite light"));
             }
@@ -553,4 +553,9 @@ impl LayerRecord {
             Ok(self.planned.variables.gradient(&gradient))
         })
     }
+}
+
+/// Whether light is a number, in single precision, too: textures have that.
+fn fits(light: f64) -> bool {
+    light.abs() <= f64::from(f32::MAX)
 }

@@ -45,6 +45,9 @@ pub(crate) fn write_picture(
         return Err(refused("float", format!("`.{ending}` has no floating point"), ".tif, .tiff or .npy"));
     }
     let image = texture(picture, "picture")?;
+    if !float && let Some((place, v)) = image.indexed_iter().find(|(_, v)| !v.is_finite()) {
+        return Err(refused("picture", format!("{v} at {place:?}"), "finite light"));
+    }
     let depth = if float { Depth::Float } else { Depth::Sixteen };
     work(py, || write_annotated(Target::new(&file, force), &image, Encoding::Srgb, depth, &Annotation::default()))
 }

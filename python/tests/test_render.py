@@ -15,7 +15,16 @@ def photo():
 def test_pictures_are_the_bits_of_the_command(command, tmp_path, photo):
     iso.write_picture(tmp_path / "photo.npy", photo)
     assert (iso.read_picture(tmp_path / "photo.npy") == photo).all()
+    with pytest.raises(ValueError, match=r"picture: NaN at .*; finite light"):
+        iso.write_picture(tmp_path / "nan.png", np.full((3, 4, 4), np.nan))
     frame = iso.Frame(columns=96, rows=64, pitch_um=375.0)
+    # The ideal picture, too: the photograph has nearly two texels a pixel, and twice that of the second frame.
+    for columns, rows, pitch in [(96, 64, 375.0), (48, 32, 750.0)]:
+        command("render", "cooke_triplet", "photo.npy", "-o", f"of{columns}.npy", "--truth", f"truth{columns}.npy", "--columns", columns, "--rows", rows,
+                "--pitch-um", pitch, "--min-psnr-db", 40)
+        small = iso.Frame(columns=columns, rows=rows, pitch_um=pitch)
+        truth = iso.render(iso.Lens("cooke_triplet"), photo, small, min_psnr_db=40)[1]
+        assert (truth == np.moveaxis(np.load(tmp_path / f"truth{columns}.npy"), -1, 0)).all()
     for distance in ["1000", "inf"]:
         command("render", "cooke_triplet", "photo.npy", "-o", f"{distance}.npy", "--columns", 96, "--rows", 64, "--pitch-um", 375,
                 "--depth-mm", distance, "--min-psnr-db", 40)
@@ -69,6 +78,29 @@ def test_a_plan_serves_many_photographs_and_another_lens(photo):
         iso.render(lens, photo, iso.Frame(4, 4, 1.0), plan=plan)
     with pytest.raises(ValueError, match="photos: 20 × 10 pixels beside 180 × 120; one size"):
         iso.render.plan(lens, [photo, photo[:, :10, :20]], frame)
+
+
+def test_truths_have_no_aliases():
+    """Of three texels a pixel, one in nine of them light: means, not single texels; by records, too, whose gradient is that of differences."""
+    lens, frame = iso.Lens("cooke_triplet"), iso.Frame(120, 80, 300.0)
+    fine = np.zeros((3, 240, 360))
+    fine[:, ::3, ::3] = 9.0
+    record = iso.render.record(lens, fine, frame, min_psnr_db=40)[1]
+    for truth in (iso.render(lens, fine, frame, min_psnr_db=40)[1], record.truth):
+        middle = np.asarray(truth)[:, 20:-20, 30:-30]
+        assert middle.mean() == pytest.approx(1, abs=0.02) and middle.max() < 5
+    rows, columns = np.mgrid[:240, :360]
+    smooth = np.broadcast_to(1 + 0.5 * np.cos(rows / 9) * np.sin(columns / 7), (3, 240, 360))
+    picture, record = iso.render.record(lens, smooth, frame, min_psnr_db=40)
+    bar = np.random.default_rng(1).random(picture.shape)
+    name, step = "surface[0].curvature", 1e-5
+    found = record.vjp(np.zeros_like(bar), bar)[name]
+
+    def loss(by):
+        changed = lens.replace({name: lens.parameters[name] + by})
+        return (iso.render.record(changed, smooth, plan=record.plan)[1].truth * bar).sum()
+
+    assert found == pytest.approx((loss(step) - loss(-step)) / (2 * step), rel=2e-2)
 
 
 def test_a_record_is_the_picture_and_a_region_a_part_of_it(photo):

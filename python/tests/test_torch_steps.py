@@ -18,7 +18,7 @@ with warnings.catch_warnings():
     # Of torch's own parts.
     warnings.simplefilter("ignore")
     torch = pytest.importorskip("torch", reason="torch is not installed")
-    from isoplanat.torch import LensLayer, LensSteps, PairDataset, PsfLayer, Sensor
+    from isoplanat.torch import LensLayer, LensSteps, PairDataset, PsfLayer, RayLayer, Sensor
 
 
 def scenes_of(count, side, first=0):
@@ -226,6 +226,39 @@ def test_kernels_are_those_of_the_lens(distance):
     assert torch.equal(other(), layer())
 
 
+@pytest.mark.parametrize("of", [lambda lens, **o: PsfLayer(lens, [0, 14], pitch_um=4.0, size=25, **o), RayLayer])
+def test_states_of_kernels_and_rays_are_of_their_numbers(of):
+    """A state goes on to the same bits, laid out as it was; other numbers and other lenses refuse it."""
+    lens = iso.Lens("cooke_triplet")
+    layer = of(lens, trainable="surface[5].thickness")
+    with torch.no_grad():
+        layer.numbers["thickness"].add_(0.3)
+    fresh = of(lens, trainable="surface[5].thickness")
+    fresh.load_state_dict(copy.deepcopy(layer.state_dict()))
+    assert fresh.lens == layer.lens and torch.equal(fresh._planned, layer._planned)
+    if isinstance(layer, PsfLayer):
+        layer()
+        layer.replan()
+        with torch.no_grad():
+            layer.numbers["thickness"].add_(0.1)
+        fresh.load_state_dict(copy.deepcopy(layer.state_dict()))
+        assert torch.equal(fresh(), layer())
+    with pytest.raises(ValueError, match=r"state_dict: surface\[5\].thickness; surface\[0\].thickness, which are trained here"):
+        of(lens, trainable="surface[0].thickness").load_state_dict(layer.state_dict())
+    with pytest.raises(ValueError, match="state_dict: of the lens"):
+        of(iso.Lens("double_gauss"), trainable="surface[5].thickness").load_state_dict(layer.state_dict())
+
+
+def test_sensors_count_in_single_precision_at_least():
+    """Under autocast, and for bfloat16 captures: demosaicking in bfloat16 is as far off as noise."""
+    captures = torch.tensor(iso.scene("facades", 48, 48)[None])
+    exact = Sensor(level=0)(captures)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        assert torch.equal(Sensor(level=0)(captures), exact)
+    half = captures.bfloat16()
+    assert torch.equal(Sensor(level=0)(half), Sensor(level=0)(half.float()).bfloat16())
+
+
 def test_a_sensor_is_the_programs(tmp_path):
     """Without noise: demosaicked as the data sets' pictures are, wherever a crop's mosaic begins. With noise: mean and deviation of each colour."""
     text = (ROOT / "calibration" / "generic-rggb" / "sensor.toml").read_text()
@@ -331,6 +364,9 @@ def test_pairs_are_the_same_in_every_worker(tmp_path):
     assert arrays[0][0].shape == (3, 32, 32)
     grey = PairDataset(lens, [iso.scene("text", 90, 90)[1]], 32, frame=frame_of(lens, 96, 80))
     assert torch.equal(grey[0][1][0], grey[0][1][2])
+    # One array is one photograph.
+    chart, options = iso.scene("color_chart", 90, 90), {"frame": frame_of(lens, 96, 80)}
+    assert torch.equal(PairDataset(lens, chart, 32, **options)[0][1], PairDataset(lens, [chart], 32, **options)[0][1])
     with pytest.raises(TypeError):
         pairs[0:2]
     with pytest.raises(IndexError):
@@ -345,6 +381,7 @@ def test_pairs_are_the_same_in_every_worker(tmp_path):
         ((lens, [np.zeros((3, 60, 60), np.uint8)]), TypeError, "photos: number 0 is of uint8; linear light"),
         ((lens, [np.full((3, 60, 60), np.nan)]), ValueError, "photos: number 0 has NaN"),
         ((lens, [np.zeros((4, 60, 60))]), ValueError, "photos: number 0 has the shape"),
+        ((lens, np.zeros((60, 60, 3))), ValueError, r"photos: one array of shape \(60, 60, 3\); a list of"),
         ((lens, photos, 5000), ValueError, "size: 5000; at most the frame"),
     ]:
         with pytest.raises(kind, match=text):

@@ -168,7 +168,10 @@ impl Task {
             Some(toml::Value::Integer(1)) => (flat::parse(table, text, file)?, true),
             Some(toml::Value::Integer(2 | 3)) => {
                 flat::refuse_strays(&table, text, file)?;
-                (toml::from_str::<Self>(text).map_err(|e| Error::toml(file, text, &e, ALLOWED))?, false)
+                (
+                    isoplanat_base::exact::from_toml::<Self>(text).map_err(|e| Error::toml(file, text, &e, ALLOWED))?,
+                    false,
+                )
             }
             other => {
                 let found = other.map_or_else(|| "none".to_owned(), |v| v.to_string());

@@ -5,6 +5,8 @@
 pub mod atomic;
 pub mod error;
 #[doc(hidden)]
+pub mod exact;
+#[doc(hidden)]
 pub mod figures;
 pub mod math;
 #[doc(hidden)]

@@ -462,9 +462,9 @@ fn parse(text: &str, file: &str) -> Result<KitFile> {
         schema: Option<u32>,
     }
     let syntax = |e: toml::de::Error| Error::toml(file, text, &e, "the keys `isoplanat export` writes");
-    let form: Form = toml::from_str(text).map_err(syntax)?;
+    let form: Form = isoplanat_base::exact::from_toml(text).map_err(syntax)?;
     match form.schema {
-        Some(1..=SCHEMA) => toml::from_str(text).map_err(syntax),
+        Some(1..=SCHEMA) => isoplanat_base::exact::from_toml(text).map_err(syntax),
         Some(newer) if newer > SCHEMA => {
             let allowed = format!("up to {SCHEMA}, which this version reads; a newer isoplanat-camera reads this kit");
             Err(Error::bad(file, "schema", newer.to_string(), allowed))

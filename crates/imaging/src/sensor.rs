@@ -74,6 +74,9 @@ impl SpectralResponse {
     }
 }
 
+/// Electrons that a pixel may hold: noise of fewer, and numbers of more, are not a picture's.
+const WELL: [f64; 2] = [1.0, 1e15];
+
 impl Sensor {
     /// The sensor that comes with the program: `calibration/generic-rggb/sensor.toml`.
     pub fn generic() -> Self {
@@ -116,12 +119,18 @@ impl Sensor {
         refuse((1..=16).contains(&bits), "bits", bits.to_string(), "1 to 16")?;
         refuse(black >= 0.0 && black.is_finite(), "black_level", black.to_string(), "a number of DN, 0 or more")?;
         let top = 2f64.powi(i32::try_from(bits).unwrap_or(16)) - 1.0;
-        let allowed = format!("above black_level and at most {top}, which {bits} bits hold");
-        refuse(white > black && white <= top, "white_level", white.to_string(), &allowed)?;
+        // Captures state both as whole numbers.
+        let allowed =
+            format!("1 DN or more above black_level, as whole numbers, and at most {top}, which {bits} bits hold");
+        let apart = white.floor() - black.round() >= 1.0 && white > black;
+        refuse(apart && white <= top, "white_level", white.to_string(), &allowed)?;
+        let [least, most] = WELL;
         let well = self.full_well_electrons;
-        refuse(well > 0.0 && well.is_finite(), "full_well_electrons", well.to_string(), "above 0")?;
+        let allowed = format!("{least} to {most:e} electrons");
+        refuse((least..=most).contains(&well), "full_well_electrons", well.to_string(), &allowed)?;
         let read = self.read_noise_electrons;
-        refuse(read >= 0.0 && read.is_finite(), "read_noise_electrons", read.to_string(), "0 or more")?;
+        let allowed = format!("0 to full_well_electrons, {well}");
+        refuse((0.0..=well).contains(&read), "read_noise_electrons", read.to_string(), &allowed)?;
         let neutral = self.neutral_response;
         let good = neutral.iter().all(|v| *v > 0.0 && v.is_finite()) && neutral[1] == 1.0;
         refuse(good, "neutral_response", format!("{neutral:?}"), "three numbers above 0, the second (green) 1")?;
@@ -194,7 +203,12 @@ mod tests {
             ("\"RGGB\"", "\"RGBW\"", "RGBW"),
             ("white_level = 4095", "white_level = 4096", "white_level"),
             ("white_level = 4095", "white_level = 256", "white_level"),
+            ("white_level = 4095", "white_level = 256.5", "white_level"),
+            ("black_level = 256", "black_level = 4094.9999", "white_level"),
             ("black_level = 256", "black_level = nan", "black_level"),
+            ("full_well_electrons = 6000", "full_well_electrons = 5e-324", "full_well_electrons"),
+            ("read_noise_electrons = 4", "read_noise_electrons = 1e308", "read_noise_electrons"),
+            ("0.55, 1.0, 0.7]", "0.55, 1.0, 0.7, 1.0]", "a list of 4 in place of a list of 3"),
             ("full_well_electrons = 6000", "full_well_electrons = 0", "full_well_electrons"),
             ("read_noise_electrons = 4", "read_noise_electrons = -4", "read_noise_electrons"),
             ("0.55, 1.0, 0.7", "0.55, 0.9, 0.7", "neutral_response"),

@@ -118,6 +118,7 @@ impl State {
     /// # Errors
     /// Text of another form.
     pub fn from_text(text: &str, file: &str) -> Result<Self> {
-        toml::from_str(text).map_err(|e| Error::toml(file, text, &e, "a state, as `isoplanat design` writes it"))
+        isoplanat_base::exact::from_toml(text)
+            .map_err(|e| Error::toml(file, text, &e, "a state, as `isoplanat design` writes it"))
     }
 }

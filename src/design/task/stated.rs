@@ -37,7 +37,9 @@ impl Stated {
         let text = atomic::read_text(path, LARGEST)?;
         let file = path.display().to_string();
         Tolerances::parse(&text, &file)?;
-        toml::from_str(&text).map(Self::Keys).map_err(|e| Error::toml(&file, &text, &e, "the keys of models/README.md"))
+        isoplanat_base::exact::from_toml(&text)
+            .map(Self::Keys)
+            .map_err(|e| Error::toml(&file, &text, &e, "the keys of models/README.md"))
     }
 
     /// What they say.

@@ -107,12 +107,12 @@ pub fn of_schema<T: DeserializeOwned>(text: &str, file: &str, schema: u32, allow
         schema: Option<u32>,
     }
     let syntax = |e: toml::de::Error| Error::toml(file, text, &e, allowed);
-    let form: Form = toml::from_str(text).map_err(syntax)?;
+    let form: Form = crate::exact::from_toml(text).map_err(syntax)?;
     if form.schema != Some(schema) {
         let found = form.schema.map_or("missing".into(), |s| s.to_string());
         return Err(Error::bad(file, "schema", found, format!("this version reads schema = {schema}")));
     }
-    toml::from_str(text).map_err(syntax)
+    crate::exact::from_toml(text).map_err(syntax)
 }
 
 #[cfg(test)]

@@ -265,7 +265,7 @@ impl Spectra {
     }
 }
 
-/// Values as whole steps, the middle one so that they sum to one, and a step's worth.
+/// Values as whole steps, the middle one so that they sum to one, and a step's worth. What the middle one cannot hold goes to those that were rounded farthest the other way, one step each.
 #[expect(clippy::cast_possible_truncation, reason = "at most 32767 steps; f32 as stored")]
 fn rounded(filter: ArrayView2<'_, f64>) -> (Array2<i16>, f32) {
     let largest = filter.iter().fold(0.0f64, |m, v| m.max(v.abs()));
@@ -274,7 +274,20 @@ fn rounded(filter: ArrayView2<'_, f64>) -> (Array2<i16>, f32) {
     let mut steps = filter.mapv(|v| (v / step).round() as i16);
     let off = 1.0 / step - steps.iter().map(|v| f64::from(*v)).sum::<f64>();
     let half = filter.nrows() / 2;
-    steps[[half, half]] = (f64::from(steps[[half, half]]) + off.round()).clamp(-STEPS, STEPS) as i16;
+    let middle = f64::from(steps[[half, half]]);
+    steps[[half, half]] = (middle + off.round()).clamp(-STEPS, STEPS) as i16;
+    let rest = middle + off.round() - f64::from(steps[[half, half]]);
+    if rest != 0.0 {
+        let left = |at: &(usize, usize)| rest.signum() * (filter[*at] / step - f64::from(steps[*at]));
+        let mut others: Vec<(usize, usize)> =
+            filter.indexed_iter().map(|(at, _)| at).filter(|at| *at != (half, half)).collect();
+        others.sort_by(|a, b| left(b).total_cmp(&left(a)));
+        let movable: Vec<(usize, usize)> =
+            others.into_iter().filter(|at| f64::from(steps[*at]).abs() < STEPS).collect();
+        for at in movable.into_iter().take(rest.abs() as usize) {
+            steps[at] += rest.signum() as i16;
+        }
+    }
     (steps, scale)
 }
 
@@ -318,5 +331,23 @@ pub(super) fn check(filters: &Filters, frame: &Frame) -> Result<()> {
     match knots.copied().find(|k| !(0..=far).contains(k)) {
         Some(k) => Err(Error::bad("", "Wiener filters", format!("a node at {k}"), "nodes within the frame")),
         None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Filters sum to one however their values are rounded: all that small values lose to rounding is more than the middle one holds.
+    #[test]
+    fn large_filters_keep_white() {
+        let side = 129;
+        let filter = Array2::from_shape_fn((side, side), |at| if at == (64, 64) { 1.0 } else { 0.45 / 32_567.0 });
+        let filter = &filter / filter.sum();
+        let (steps, scale) = rounded(filter.view());
+        let sum = steps.iter().map(|v| f64::from(*v)).sum::<f64>() * f64::from(scale);
+        assert!((sum - 1.0).abs() < 1e-6, "{sum}");
+        let most = filter.indexed_iter().map(|(at, v)| (v - f64::from(steps[at]) * f64::from(scale)).abs());
+        assert!(most.fold(0.0, f64::max) < 250.0 * f64::from(scale));
     }
 }

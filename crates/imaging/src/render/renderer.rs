@@ -155,13 +155,32 @@ impl Renderer {
         Cow::Owned(KernelForm { weight, ..form.clone() })
     }
 
-    /// The ideal picture of `region`, `[3, row, col]`: the scene as this lens's distortion shows it, without blur.
+    /// The ideal picture of `region`, `[3, row, col]`: the scene where the lens's distortion shows it, at pixel centres, without blur and falling light. Of a scene with two texels
+    /// a pixel or more it is sampled from means over as many whole texels, so that it has no aliases.
     pub fn truth<T: Real>(&self, scene: &Plane, depth: usize, region: Region, channels: &Channels) -> Array3<T> {
+        let scene = &*self.without_aliases(scene, depth);
         let warped: Array3<T> =
             warp(scene, &self.optics.maps[depth], &self.plan.frame, region, &channels.of_texture(scene));
         let mut truth = Array3::from_elem((3, region.rows, region.cols), T::zero());
         channels.spread(&warped, &mut truth);
         truth
+    }
+
+    /// The scene that the ideal picture is sampled from.
+    fn without_aliases<'s>(&self, scene: &'s Plane, depth: usize) -> Cow<'s, Plane> {
+        match self.texels(scene, depth) {
+            texels @ 2.. => Cow::Owned(scene.averaged(texels)),
+            _ => Cow::Borrowed(scene),
+        }
+    }
+
+    /// Whole texels of a scene to a pixel.
+    fn texels(&self, scene: &Plane, depth: usize) -> usize {
+        let per_pixel = scene.texels_per_slope * self.optics.maps[depth].ratio(0.0) * self.plan.frame.pitch_mm;
+        // A picture made so many times as large as the frame counts as that: next to the axis a lens shows it a little larger or smaller.
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a count")]
+        let whole = (per_pixel * 1.02) as usize;
+        whole
     }
 
     /// The picture of `region`, `[3, row, col]`, 1 = white on the axis. `progress` hears the share done.
@@ -241,7 +260,7 @@ impl Renderer {
                 Method::Cells { block } => block,
                 Method::Direct => around.rows.max(around.cols),
             };
-            let (cells, kept) = if d.samples * d.bin == 1 {
+            let (cells, kept) = if d.samples * d.bin == 1 && self.texels(scene, depth) < 2 {
                 let planes = Array3::from_elem((channels.sources(), region.rows, region.cols), T::zero());
                 let keeping = Kept { source: &source, region, planes: Mutex::new(planes) };
                 let blurred = blur_recorded::<T>(&grid, &kernels, &keeping, around, block, dark);
@@ -303,12 +322,13 @@ impl Renderer {
         let Some(record) = &rendered.record else { return bar };
         let mut back = blur_vjp(record, to_pixels_vjp(blurred_bar.view(), region, d.bin).view());
         let around = cells(region, d.bin).grown(d.half_width);
-        if d.samples * d.bin == 1 {
+        if d.samples * d.bin == 1 && self.texels(scene, depth) < 2 {
             // The ideal picture is the middle of the source.
             let (rows, cols) = (d.half_width..d.half_width + region.rows, d.half_width..d.half_width + region.cols);
             let mut middle = back.source.slice_mut(s![.., 0, rows, cols]);
             middle += &warped_bar;
         } else {
+            let scene = &*self.without_aliases(scene, depth);
             let warped_bar = (&channels.of_texture(scene)[..], warped_bar.view());
             warp_vjp(scene, &self.optics.maps[depth], frame, region, warped_bar, &mut bar.maps[depth]);
         }

@@ -106,26 +106,14 @@ impl ScenePlan {
         Ok((image, seen))
     }
 
-    /// The ideal picture of a part of the frame, `[3, row, col]`: the scene where the lens's distortion shows it, at pixel centres, without blur and
-    /// falling light. Of a scene with two texels a pixel or more it is sampled from means over as many whole texels, so that it has no aliases.
+    /// The ideal picture of a part of the frame, `[3, row, col]`, as [`Renderer::truth`] has it.
     ///
     /// # Errors
     /// As [`Self::picture`].
     #[doc(hidden)]
     pub fn truth<T: Real>(&self, scene: &Plane, part: Region) -> Result<Array3<T>> {
         check(scene)?;
-        let plan = &self.renderer.plan;
-        let depth = plan.depth(scene.vergence)?;
-        let per_pixel = scene.texels_per_slope * self.renderer.optics.maps[depth].ratio(0.0) * plan.frame.pitch_mm;
-        // A picture made so many times as large as the frame counts as that: next to the axis a lens shows it a little larger or smaller.
-        let texels = (per_pixel * 1.02) as usize;
-        let averaged;
-        let scene = if texels >= 2 {
-            averaged = scene.averaged(texels);
-            &averaged
-        } else {
-            scene
-        };
+        let depth = self.renderer.plan.depth(scene.vergence)?;
         Ok(self.renderer.truth(scene, depth, part, &Channels::from_scene(scene)))
     }
 }

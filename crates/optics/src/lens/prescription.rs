@@ -258,8 +258,8 @@ pub(crate) fn read(text: &str, file: &str, glasses: &Glasses) -> Result<Read> {
             "this program reads schema 1; use a newer one for this file",
         ));
     }
-    let parsed: File =
-        toml::from_str(text).map_err(|e| Error::toml(file, text, &e, "see models/README.md for the form"))?;
+    let parsed: File = isoplanat_base::exact::from_toml(text)
+        .map_err(|e| Error::toml(file, text, &e, "see models/README.md for the form"))?;
     if parsed.surface.is_empty() {
         return Err(refuse("surface", "no surfaces".into(), "at least one [[surface]]"));
     }

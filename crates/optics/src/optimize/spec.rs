@@ -136,7 +136,8 @@ impl Spec {
     /// # Errors
     /// What is no such file, with its line.
     pub fn from_toml(text: &str, file: &str) -> Result<Self> {
-        toml::from_str(text).map_err(|e| Error::toml(file, text, &e, "the keys of `isoplanat optimize --merit`"))
+        isoplanat_base::exact::from_toml(text)
+            .map_err(|e| Error::toml(file, text, &e, "the keys of `isoplanat optimize --merit`"))
     }
 
     /// The problem for `lens`; `file` names where the spec comes from.

@@ -17,6 +17,8 @@ def replaced(lens: Lens, names: Sequence[str], values: torch.Tensor) -> Lens:
 class Numbers(nn.Module):
     """A module whose parameters are numbers of a lens, kind by kind; they stay float64, whatever the module is cast to."""
 
+    _lens: Lens
+
     def __init__(self, all_names: Sequence[str], values: Sequence[float], replan_every: int) -> None:
         if replan_every < 0:
             raise ValueError(f"replan_every: {replan_every}; 0 or more passes")
@@ -38,6 +40,24 @@ class Numbers(nn.Module):
     def replan(self) -> None:
         """Lays out anew for the numbers as they are."""
         raise NotImplementedError
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """What a checkpoint holds beside the numbers: their names, the lens they are put into, and the numbers that things are laid out for."""
+        return {"names": self._all_names, "lens": self._lens.to_toml(), "planned": self._planned.tolist(), "passes": self._passes}
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Takes what `get_extra_state` gave. Raises ValueError where other numbers are trained, or the lens is another."""
+        if state["names"] != self._all_names:
+            raise ValueError(f"state_dict: {', '.join(state['names'])}; {', '.join(self._all_names)}, which are trained here")
+        lens = Lens.from_toml(state["lens"], "state_dict")
+        if list(lens.parameters) != list(self._lens.parameters):
+            raise ValueError(f"state_dict: of the lens {lens.name!r}; one with the surfaces of {self._lens.name!r}")
+        self._lens, self._passes = lens, state["passes"]
+        self._planned = torch.tensor(state["planned"], dtype=torch.float64)
+        self._lay_out()
+
+    def _lay_out(self) -> None:
+        """Lays out for the numbers of the last layout."""
 
     def _is_planned(self) -> bool:
         return torch.equal(self._values().detach().cpu(), self._planned.cpu())

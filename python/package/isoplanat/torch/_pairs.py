@@ -92,6 +92,12 @@ class PairDataset(Dataset[tuple[torch.Tensor, torch.Tensor]]):
             if missing:
                 raise FileNotFoundError(f"{missing}: reading: no such file; photographs (.png, .jpg, .tif, .npy)")
         else:
+            # One array is one photograph, or one a number of its first axis.
+            shape = tuple(getattr(photos, "shape", ()))
+            if len(shape) == 2 or len(shape) == 3 and shape[0] in (1, 3):
+                photos = [photos]
+            elif shape and len(shape) != 4:
+                raise ValueError(f"photos: one array of shape {shape}; a list of [3, row, col] or [row, col], one of them, or [count, 3, row, col]")
             for k, photo in enumerate(photos):
                 kind = np.asarray(photo).dtype
                 if kind.kind != "f":

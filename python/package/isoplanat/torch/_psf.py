@@ -73,6 +73,9 @@ class PsfLayer(Numbers):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)  # type: ignore[no-untyped-call,unused-ignore]
+        self._lay_out()
+
+    def _lay_out(self) -> None:
         numbers = dict(zip(self._all_names, self._planned.tolist(), strict=True))
         self._like = self._lens.replace(numbers).psf(**self._options)
 

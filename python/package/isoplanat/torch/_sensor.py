@@ -129,9 +129,12 @@ class Sensor(nn.Module):
         """
         if not isinstance(captures, torch.Tensor) or not captures.is_floating_point():
             raise TypeError(f"captures: {getattr(captures, 'dtype', type(captures).__name__)}; a tensor of linear light in floating point")
-        if captures.dtype == torch.float16:
+        if torch.is_autocast_enabled(captures.device.type):
+            with torch.autocast(captures.device.type, enabled=False):
+                return self.forward(captures, place, illumination=illumination, generator=generator, draw=draw)
+        if captures.dtype in (torch.float16, torch.bfloat16):
             dims = None if illumination is None else illumination.float()
-            return self.forward(captures.float(), place, illumination=dims, generator=generator, draw=draw).half()
+            return self.forward(captures.float(), place, illumination=dims, generator=generator, draw=draw).to(captures.dtype)
         if captures.ndim != 4 or captures.shape[1] != 3 or min(captures.shape[-2:]) < 3:
             raise ValueError(f"captures: shape {tuple(captures.shape)}; [B, 3, H, W] of 3 pixels a side or more")
         if illumination is not None and illumination.shape != captures.shape:
