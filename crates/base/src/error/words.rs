@@ -8,6 +8,11 @@ pub fn plain(message: &str) -> String {
         let (expected, end) = ended(expected);
         return format!("{} in place of {}{end}", value(found), kind(expected));
     }
+    let of_length = message.strip_prefix("invalid length ");
+    if let Some((found, expected)) = of_length.and_then(|rest| rest.rsplit_once(", expected ")) {
+        let (expected, end) = ended(expected);
+        return format!("a list of {found} in place of {}{end}", kind(expected));
+    }
     if let Some((found, end)) = quoted(message, "missing field `") {
         return format!("`{found}` is missing{end}");
     }
@@ -146,6 +151,7 @@ mod tests {
             ("radius_mm = 1\nnames = [5]", "5 in place of text"),
             ("radius_mm = 1\nbelow = 3", "3 in place of a table"),
             ("radius_mm = 1\nradus = 3", "unknown key `radus`, expected one of `radius_mm`"),
+            ("radius_mm = 1\nsize = [1.0]", "a list of 1 in place of a list of 2"),
             ("radius_mm = 1\nkind = \"bent\"", "unknown word `bent`, expected `flat`"),
             ("steps = 3", "`radius_mm` is missing"),
         ] {
