@@ -92,6 +92,32 @@ fn places_where_nothing_can_be_written_are_refused_first() {
     assert_eq!(std::fs::read_to_string(place.path("there.csv")).expect("reads"), "kept");
 }
 
+/// Outputs of one command that are one place, or one inside of the other, are refused before any work: files and folders alike.
+#[test]
+fn outputs_of_one_command_are_apart() {
+    let place = Workplace::new();
+    for (arguments, named) in [
+        ("lenses cooke_triplet -o both --csv both", &["both: output: named for two outputs"][..]),
+        ("lenses cooke_triplet -o ./both --csv both --force", &["both: output: named for two outputs"]),
+        (
+            "tolerance cooke_triplet --tolerances no.toml --lenses d.csv --csv d.csv",
+            &["d.csv: output: named for two outputs"],
+        ),
+        ("optimize cooke_triplet -o o.toml --search 3 --best o.toml", &["o.toml: output: named for two outputs"]),
+        (
+            "lenses cooke_triplet -o all --csv all/lenses.csv",
+            &["all/lenses.csv: output: lies in all, another output", "outside"],
+        ),
+        (
+            "optimize cooke_triplet -o best/o.toml --search 3 --best best",
+            &["best/o.toml: output: lies in best, another output"],
+        ),
+    ] {
+        place.run(arguments).refused(named);
+        assert!(place.files().is_empty(), "{arguments}: {:?}", place.files());
+    }
+}
+
 /// Where nobody can be told, the work goes on.
 #[cfg(target_os = "linux")]
 #[test]
