@@ -20,6 +20,7 @@ use serde::Serialize;
 
 use crate::output::Common;
 use crate::progress::Bar;
+use crate::twice;
 
 /// Bytes of a pixel of a frame while frames are measured: as it is kept, and its share of one that is read.
 const BYTES: usize = 16;
@@ -117,6 +118,9 @@ fn read(args: &Args) -> Result<(Frames, Camera)> {
     for (k, path) in args.darks.iter().chain(&args.flats).enumerate() {
         bar.set(k as f64 / count as f64, path.display().to_string());
         let (raw, _) = raw_process::decode(&helper, path, limit)?;
+        // A frame beside itself has no noise.
+        let earlier = args.darks.iter().chain(&args.flats).take(k).map(PathBuf::as_path);
+        twice::first_time(path, earlier, "each frame once: frames that were shot one after the other")?;
         let found = Camera::of(&raw, path)?;
         match &camera {
             None => {

@@ -62,6 +62,8 @@ mod tolerance;
 mod trace;
 #[cfg(feature = "train")]
 mod train;
+#[cfg(any(feature = "calibrate", feature = "deploy"))]
+mod twice;
 mod view;
 
 use std::io::{BufWriter, ErrorKind, Write};
