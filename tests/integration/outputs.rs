@@ -118,6 +118,25 @@ fn outputs_of_one_command_are_apart() {
     }
 }
 
+/// What cannot be printed is no success, and a file where a folder is to be is named as that.
+#[cfg(target_os = "linux")]
+#[test]
+fn what_cannot_be_put_out_is_told() {
+    let place = Workplace::new();
+    for arguments in ["--help", "--version", "inspect --help"] {
+        let full = std::fs::File::options().write(true).open("/dev/full").expect("opens");
+        let said = place.command(arguments).stdout(full).output().expect("runs");
+        let err = String::from_utf8_lossy(&said.stderr);
+        assert_eq!(said.status.code(), Some(1), "{arguments}: {err}");
+        assert!(err.starts_with("error: standard output: ") && err.lines().count() == 1, "{arguments}: {err}");
+    }
+    place.write("file", "kept");
+    for force in ["", "--force"] {
+        place.run(&format!("lenses cooke_triplet -o file {force}")).refused(&["file: output: a file stands there"]);
+    }
+    assert_eq!(std::fs::read_to_string(place.path("file")).expect("reads"), "kept");
+}
+
 /// Where nobody can be told, the work goes on.
 #[cfg(target_os = "linux")]
 #[test]
