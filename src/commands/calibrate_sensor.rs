@@ -15,6 +15,7 @@ use isoplanat::imaging::sensor::cfa::Cfa;
 use isoplanat::math::memory::product;
 use isoplanat::report::plot::{Mark, Plot, Series};
 use isoplanat::report::table::{Table, numbered, significant};
+use isoplanat::terminal::in_line;
 use isoplanat::{Error, Result};
 use serde::Serialize;
 
@@ -359,7 +360,7 @@ impl fmt::Display for Listing<'_> {
         let (m, s) = (self.measured, self.sensor);
         let with_error =
             |v: f64, error: f64, unit: &str| format!("{} ± {} {unit}", significant(v, 5), significant(error, 2));
-        writeln!(f, "camera       {}{}", s.name, self.camera.settings())?;
+        writeln!(f, "camera       {}{}", in_line(&s.name), self.camera.settings())?;
         writeln!(f, "black        {}", with_error(m.black.value, m.black.error, "DN"))?;
         writeln!(f, "white        {} DN", m.white)?;
         writeln!(f, "gain         {}", with_error(m.gain[3].value, m.gain[3].error, "electrons a DN"))?;
