@@ -51,7 +51,7 @@
 
 pub use isoplanat_base::{Error, Result, atomic, error, figures, math, refusing, terminal, units};
 #[doc(hidden)]
-pub use isoplanat_base::{stop, testing};
+pub use isoplanat_base::{stop, testing, threads};
 
 pub use isoplanat_optics::{analysis, interchange, lens, optimize, psf, trace};
 

@@ -20,6 +20,7 @@ use ndarray::{Array2, ArrayView2};
 use crate::output::Common;
 use crate::picture;
 use crate::progress::Bar;
+use crate::twice;
 use listing::{Chart, Listing};
 
 /// Arguments of `calibrate`.
@@ -107,7 +108,12 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     for (k, path) in args.charts.iter().enumerate() {
         bar.set(k as f64 / args.charts.len() as f64, path.display().to_string());
         match look(path) {
-            Ok((view, size)) => found.push((Chart { path: path.clone(), view }, size)),
+            Ok((view, size)) => {
+                // One picture that counts as two makes errors look smaller than they are.
+                let earlier = found.iter().map(|(chart, _): &(Chart, [usize; 2])| chart.path.as_path());
+                twice::first_time(path, earlier, "each photograph once")?;
+                found.push((Chart { path: path.clone(), view }, size));
+            }
             Err(error) => skipped.push(error),
         }
     }

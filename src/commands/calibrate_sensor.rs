@@ -15,11 +15,13 @@ use isoplanat::imaging::sensor::cfa::Cfa;
 use isoplanat::math::memory::product;
 use isoplanat::report::plot::{Mark, Plot, Series};
 use isoplanat::report::table::{Table, numbered, significant};
+use isoplanat::terminal::in_line;
 use isoplanat::{Error, Result};
 use serde::Serialize;
 
 use crate::output::Common;
 use crate::progress::Bar;
+use crate::twice;
 
 /// Bytes of a pixel of a frame while frames are measured: as it is kept, and its share of one that is read.
 const BYTES: usize = 16;
@@ -117,6 +119,9 @@ fn read(args: &Args) -> Result<(Frames, Camera)> {
     for (k, path) in args.darks.iter().chain(&args.flats).enumerate() {
         bar.set(k as f64 / count as f64, path.display().to_string());
         let (raw, _) = raw_process::decode(&helper, path, limit)?;
+        // A frame beside itself has no noise.
+        let earlier = args.darks.iter().chain(&args.flats).take(k).map(PathBuf::as_path);
+        twice::first_time(path, earlier, "each frame once: frames that were shot one after the other")?;
         let found = Camera::of(&raw, path)?;
         match &camera {
             None => {
@@ -355,7 +360,7 @@ impl fmt::Display for Listing<'_> {
         let (m, s) = (self.measured, self.sensor);
         let with_error =
             |v: f64, error: f64, unit: &str| format!("{} ± {} {unit}", significant(v, 5), significant(error, 2));
-        writeln!(f, "camera       {}{}", s.name, self.camera.settings())?;
+        writeln!(f, "camera       {}{}", in_line(&s.name), self.camera.settings())?;
         writeln!(f, "black        {}", with_error(m.black.value, m.black.error, "DN"))?;
         writeln!(f, "white        {} DN", m.white)?;
         writeln!(f, "gain         {}", with_error(m.gain[3].value, m.gain[3].error, "electrons a DN"))?;

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use isoplanat::interchange::{Form, text_of};
 use isoplanat::report::table::numbered;
+use isoplanat::terminal::in_line;
 use serde::Serialize;
 
 use crate::named::Named;
@@ -47,6 +48,6 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     for note in notes {
         crate::aside!("note: {output}: {note}");
     }
-    writeln!(out, "{output}: {} surfaces", lens.surfaces.len())?;
+    writeln!(out, "{}: {} surfaces", in_line(&output.to_string()), lens.surfaces.len())?;
     Ok(())
 }

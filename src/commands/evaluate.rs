@@ -23,6 +23,7 @@ use isoplanat::report::measured::Settings as EdgeSettings;
 use isoplanat::report::paired;
 use isoplanat::report::table::{significant, value};
 use isoplanat::report::verdict::Verdict;
+use isoplanat::terminal::in_line;
 use isoplanat::{Error, Result, atomic};
 
 use crate::output::Common;
@@ -246,7 +247,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     for line in Verdict::lines(&verdicts) {
         writeln!(out, "{line}")?;
     }
-    writeln!(out, "{}, {} {}", result.lens, result.count, result.pictures)?;
+    writeln!(out, "{}, {} {}", in_line(&result.lens), result.count, result.pictures)?;
     writeln!(out, "{}", result.table())?;
     if let Some(smallest) = result.rows.iter().map(|r| r.patch_px).min().filter(|p| *p < args.protocol.patch) {
         let patch = args.protocol.patch;

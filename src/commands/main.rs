@@ -62,6 +62,8 @@ mod tolerance;
 mod trace;
 #[cfg(feature = "train")]
 mod train;
+#[cfg(any(feature = "calibrate", feature = "deploy"))]
+mod twice;
 mod view;
 
 use std::io::{BufWriter, ErrorKind, Write};
@@ -312,6 +314,7 @@ fn run() -> ExitCode {
         .and_then(|()| idle::check(&words).map(|found| idle = found))
         .and_then(|()| check_environment())
         .and_then(|()| memory::set(memory_gib))
+        .and_then(|()| isoplanat::threads::start_pool(0))
         .and_then(|()| glasses::set(&glass, &glass_for));
     let ready = ready.and_then(|()| of_one_configuration(&command, configuration)).map_err(anyhow::Error::from);
     let Err(error) = ready

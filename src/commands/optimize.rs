@@ -16,6 +16,7 @@ use isoplanat::optimize::spec::{Range, Spec, Wanted, glasses};
 use isoplanat::optimize::{Constraint, Limits, Outcome, Problem, Quality, Quantity, Valued, glass, optimize};
 use isoplanat::report::drawing::lens_svg;
 use isoplanat::report::table::{significant, value};
+use isoplanat::terminal::in_line;
 use isoplanat::{Error, Result, atomic};
 
 use crate::named::Named;
@@ -412,7 +413,7 @@ fn text(
     out: &mut dyn Write,
 ) -> anyhow::Result<()> {
     let unit = if problem.merit.quality == Quality::Wavefront { "path difference" } else { "spot" };
-    writeln!(out, "{} -> {}", args.lens, args.output.display())?;
+    writeln!(out, "{} -> {}", in_line(&args.lens), in_line(&args.output.display().to_string()))?;
     writeln!(
         out,
         "rms {unit}  {:.4} µm -> {:.4} µm   {} steps of {} rays in {:.3} s",

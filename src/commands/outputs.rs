@@ -15,10 +15,11 @@ const OUTPUT: &str = "OUT";
 /// Endings that say the same.
 const SAME: [(&str, &[&str]); 2] = [("html", &["html", "htm"]), ("csv", &["csv", "txt"])];
 
-/// Whether every output that `words` name may be written as far as its name tells: its ending is not that of another form, and it is none of the command's inputs.
+/// Whether every output that `words` name may be written as far as its name tells: its ending is not that of another form, it is none of the command's inputs,
+/// and no two are one place or one inside of the other.
 ///
 /// # Errors
-/// An output whose name ends as other files do; one that is an input, or holds one.
+/// An output whose name ends as other files do; one that is an input, or holds one; one that is another output, or lies in one.
 pub(crate) fn check(program: &Command, words: &ArgMatches) -> Result<()> {
     let Some((name, words)) = words.subcommand() else { return Ok(()) };
     let Some(command) = program.find_subcommand(name) else { return Ok(()) };
@@ -31,7 +32,10 @@ pub(crate) fn check(program: &Command, words: &ArgMatches) -> Result<()> {
     }
     outputs.iter().try_for_each(|(path, ending)| fits(path, ending))?;
     let inputs: Vec<&Path> = inputs.iter().map(PathBuf::as_path).collect();
-    outputs.iter().try_for_each(|(path, _)| atomic::spares(path, &inputs))
+    outputs.iter().try_for_each(|(path, _)| atomic::spares(path, &inputs))?;
+    let places: Vec<&Path> = outputs.iter().map(|(path, _)| path.as_path()).collect();
+    // What is wrong with a single one is told where it is written.
+    if places.len() > 1 { atomic::distinct(&places) } else { Ok(()) }
 }
 
 /// What an output's value is called behind its `OUT`; `None`: it is no output.

@@ -62,7 +62,8 @@ impl Waiting {
         bar.set_prefix(what.to_owned());
         let ended = Arc::new(AtomicBool::new(false));
         let (shown, over) = (bar.clone(), Arc::clone(&ended));
-        std::thread::spawn(move || {
+        // Where the system lets no thread be started the work goes on unseen.
+        let _ = isoplanat::threads::start(move || {
             std::thread::sleep(MOMENT);
             if !over.load(Ordering::SeqCst) && !is_quiet() {
                 shown.set_draw_target(ProgressDrawTarget::stderr());

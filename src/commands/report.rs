@@ -11,6 +11,7 @@ use isoplanat::lens::Lens;
 use isoplanat::report::lens::{LensReport, Options, html};
 use isoplanat::report::measured::{Measured, Settings, by_rays, close};
 use isoplanat::report::table::numbered;
+use isoplanat::terminal::in_line;
 use serde::Serialize;
 
 use crate::analyses::View;
@@ -137,10 +138,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             crate::aside!("note: {}: {missing}", report.lens.file());
         }
         let seconds: f64 = report.seconds.iter().map(|(_, s)| s).sum();
-        writeln!(out, "{}: {seconds:.2} s", report.lens.name)?;
+        writeln!(out, "{}: {seconds:.2} s", in_line(&report.lens.name))?;
     }
     if let Some(path) = &args.output {
-        writeln!(out, "open {}", path.display())?;
+        writeln!(out, "open {}", in_line(&path.display().to_string()))?;
     }
     Ok(())
 }

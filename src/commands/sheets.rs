@@ -9,6 +9,7 @@ use isoplanat::analysis::fabrication::tolerances::Tolerances;
 use isoplanat::interchange::{Form, text_of};
 use isoplanat::lens::Lens;
 use isoplanat::report::sheets::Sheets;
+use isoplanat::terminal::in_line;
 use isoplanat::{Error, Result, atomic};
 
 use crate::named::Named;
@@ -63,7 +64,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         writeln!(out, "{:#}", sheets.json())?;
     } else {
         let (elements, faces) = (made.elements.len(), made.faces().count());
-        writeln!(out, "{}: {elements} elements, {faces} faces; open {MARKER}", args.output.display())?;
+        let folder = args.output.display().to_string();
+        writeln!(out, "{}: {elements} elements, {faces} faces; open {MARKER}", in_line(&folder))?;
     }
     Ok(())
 }

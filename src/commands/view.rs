@@ -89,6 +89,6 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         writeln!(out, "{url}")?;
     }
     out.flush()?;
-    watch.start(&board);
+    watch.start(&board)?;
     Ok(server.run(desk)?)
 }

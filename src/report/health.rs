@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use isoplanat_base::terminal::in_line;
 use serde::Serialize;
 use serde_json::Value;
 
@@ -111,7 +112,7 @@ impl<'a> HealthReport<'a> {
 impl fmt::Display for HealthReport<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let h = &self.health;
-        writeln!(f, "{}: {} rays aimed over field, stop and wavelengths", self.name, h.rays)?;
+        writeln!(f, "{}: {} rays aimed over field, stop and wavelengths", in_line(self.name), h.rays)?;
         writeln!(f, "\n{}", self.table())?;
         writeln!(f, "{}", self.surfaces())?;
         writeln!(f, "{}", self.variables())?;

@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use super::columns::{Column, csv, table};
 use super::table::{Table, numbered, significant};
-use isoplanat_base::terminal::cut;
+use isoplanat_base::terminal::{cut, in_line};
 use isoplanat_optics::lens::paraxial::{FirstOrder, field_origin, first_order};
 use isoplanat_optics::lens::seidel::{self, Seidel};
 use isoplanat_optics::lens::{Aperture, Lens, Medium, SensorRaster, Surface};
@@ -308,7 +308,8 @@ fn stated(value: f64) -> String {
 impl fmt::Display for Listing<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let lens = self.lens;
-        writeln!(f, "{}\n{}\n", cut(&lens.name, LONGEST), cut(&lens.source, LONGEST))?;
+        let line = |text| cut(&in_line(text), LONGEST).into_owned();
+        writeln!(f, "{}\n{}\n", line(&lens.name), line(&lens.source))?;
         let listed = |list: &[f64], digits| list.iter().map(|x| significant(*x, digits)).collect::<Vec<_>>().join(", ");
         let (nm, weights) = (listed(&lens.wavelengths.nm, 7), listed(&lens.wavelengths.weights, 4));
         writeln!(f, "wavelengths {nm} nm, weights {weights}; data at {} nm", significant(self.wavelength_nm, 7))?;

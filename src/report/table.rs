@@ -4,7 +4,7 @@ use std::fmt;
 
 use isoplanat_base::error::{Error, Result};
 pub use isoplanat_base::figures::significant;
-use isoplanat_base::terminal::cut;
+use isoplanat_base::terminal::{cut, in_line};
 
 /// Characters of a cell on a terminal at most.
 const WIDEST: usize = 200;
@@ -48,16 +48,17 @@ impl Table {
 }
 
 impl fmt::Display for Table {
-    /// Columns two spaces apart, numbers to the right, texts to the left, no blanks at line ends.
+    /// Columns two spaces apart, numbers to the right, texts to the left, no blanks at line ends. A row is a line, whatever its cells hold.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let shown = |cell: &str| cut(&in_line(cell), WIDEST).into_owned();
         let width = |i: usize| {
-            let cells = std::iter::once(&self.heading).chain(&self.rows).map(|r| cut(&r[i], WIDEST).chars().count());
+            let cells = std::iter::once(&self.heading).chain(&self.rows).map(|r| shown(&r[i]).chars().count());
             cells.max().unwrap_or(0)
         };
         let columns: Vec<(usize, bool)> = (0..self.heading.len()).map(|i| (width(i), self.is_numeric(i))).collect();
         for row in std::iter::once(&self.heading).chain(&self.rows) {
             let cells = row.iter().zip(&columns).map(|(cell, (width, numeric))| {
-                let cell = cut(cell, WIDEST);
+                let cell = shown(cell);
                 if *numeric { format!("{cell:>width$}") } else { format!("{cell:<width$}") }
             });
             writeln!(f, "{}", cells.collect::<Vec<_>>().join("  ").trim_end())?;
@@ -118,6 +119,9 @@ mod tests {
         let mut table = Table::new(["name", "value"]);
         table.row(["a", "1.5"]).row(["longer µ", "-10"]).row(["b"]);
         assert_eq!(table.to_string(), "name      value\na           1.5\nlonger µ    -10\nb\n");
+        let mut named = Table::new(["name", "value"]);
+        named.row(["a\nb\u{2028}", "1"]).row(["c", "2"]);
+        assert_eq!(named.to_string(), "name            value\na\\u000ab\\u2028      1\nc                   2\n");
         table.row(["c, \"d\"", "0"]);
         assert_eq!(table.csv(), "name,value\na,1.5\nlonger µ,-10\nb,\n\"c, \"\"d\"\"\",0\n");
     }

@@ -295,6 +295,24 @@ mod program {
         assert!(mean.length() < 0.1 && spread < 0.6, "off by {mean} on the mean, {spread} rms");
     }
 
+    /// One photograph is one picture, under however many names.
+    #[test]
+    fn photographs_given_twice_are_refused() {
+        let (Some((_, views)), Some(charts)) = (reference(), charts()) else { return };
+        let chart = charts.split(' ').find(|p| p.ends_with(&format!("/{}", views[0].0))).expect("a chart");
+        let place = Workplace::new();
+        std::fs::copy(chart, place.path("copy.jpg")).expect("copied");
+        for (pictures, named) in [
+            (format!("{chart} {chart} {chart}"), [chart, ": contents: given twice"]),
+            (format!("{chart} copy.jpg"), ["copy.jpg: contents: the same as", chart]),
+        ] {
+            let ran = place.run(&format!("calibrate {pictures} -o d.toml"));
+            assert_eq!(ran.code, 2, "{}", ran.err);
+            assert!(named.iter().all(|text| ran.err.contains(text)), "{named:?}: {}", ran.err);
+            assert_eq!(place.files(), ["copy.jpg"]);
+        }
+    }
+
     /// Pictures without a chart are left out and told, pictures of another size refused; nothing is overwritten.
     #[test]
     fn what_is_no_chart_is_told() {

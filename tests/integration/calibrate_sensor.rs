@@ -115,8 +115,16 @@ fn frames_that_do_not_belong_together_are_refused() {
     let small = Sensor { bits: 14, ..sensor() };
     write_dng(&place.path("small.dng"), Array2::from_elem((100, 100), 3000u16).view(), &small, &DngInfo::default())
         .expect("writes");
+    std::fs::copy(place.path("d0.dng"), place.path("copy.dng")).expect("copied");
     let before = place.files();
     for (frames, words) in [
+        ("--darks d0.dng d0.dng --flats f0.dng f1.dng", "d0.dng: contents: given twice"),
+        (
+            "--darks d0.dng d1.dng copy.dng --flats f0.dng f1.dng",
+            "copy.dng: contents: the same as d0.dng, byte for byte",
+        ),
+        ("--darks d0.dng d1.dng --flats f0.dng f0.dng", "f0.dng: contents: given twice"),
+        ("--darks d0.dng d1.dng --flats f0.dng d1.dng", "d1.dng: contents: given twice"),
         ("--darks d0.dng --flats f0.dng f1.dng", "two frames and more"),
         ("--darks d0.dng d1.dng --flats f0.dng", "no two of one exposure"),
         ("--darks d0.dng d1.dng --flats cut0.dng cut1.dng", "below saturation"),

@@ -213,3 +213,26 @@ fn a_missing_picture_is_told() {
     }
     place.run("render two_element cats -o x.png").refused(&["cats", "facades"]);
 }
+
+/// Names with ends of line and with what has no width stand within their line, in tables and headings.
+#[cfg(unix)]
+#[test]
+fn names_stay_within_their_line() {
+    let place = Workplace::new();
+    place.run("convert two_element plain.toml").done();
+    let text = std::fs::read_to_string(place.path("plain.toml")).expect("reads");
+    let renamed = |line: &str| {
+        let own = if line.starts_with("name = ") { r#"name = "a\nb\u2028c\u200bd\ufeff""# } else { line };
+        format!("{own}\n")
+    };
+    let file = "x\ny.toml";
+    place.write(file, text.lines().map(renamed).collect::<String>());
+    for command in ["inspect", "lenses", "check"] {
+        let said = place.command(command).arg(file).output().expect("runs");
+        let out = String::from_utf8(said.stdout).expect("UTF-8");
+        assert!(said.status.success(), "{command}: {}", String::from_utf8_lossy(&said.stderr));
+        assert!(out.contains(r"a\u000ab\u2028c\u200bd\ufeff"), "{command}: {out}");
+        assert!(!out.contains(['\u{2028}', '\u{200b}', '\u{feff}']), "{command}: {out}");
+        assert!(command != "lenses" || (out.contains(r"x\u000ay") && out.lines().count() == 2), "{command}: {out}");
+    }
+}

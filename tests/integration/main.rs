@@ -67,6 +67,8 @@ mod skips;
 mod slanted_edge;
 mod stiff;
 mod support;
+#[cfg(target_os = "linux")]
+mod threads;
 mod throughput;
 mod tolerance;
 #[cfg(feature = "train")]

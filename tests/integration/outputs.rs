@@ -92,6 +92,51 @@ fn places_where_nothing_can_be_written_are_refused_first() {
     assert_eq!(std::fs::read_to_string(place.path("there.csv")).expect("reads"), "kept");
 }
 
+/// Outputs of one command that are one place, or one inside of the other, are refused before any work: files and folders alike.
+#[test]
+fn outputs_of_one_command_are_apart() {
+    let place = Workplace::new();
+    for (arguments, named) in [
+        ("lenses cooke_triplet -o both --csv both", &["both: output: named for two outputs"][..]),
+        ("lenses cooke_triplet -o ./both --csv both --force", &["both: output: named for two outputs"]),
+        (
+            "tolerance cooke_triplet --tolerances no.toml --lenses d.csv --csv d.csv",
+            &["d.csv: output: named for two outputs"],
+        ),
+        ("optimize cooke_triplet -o o.toml --search 3 --best o.toml", &["o.toml: output: named for two outputs"]),
+        (
+            "lenses cooke_triplet -o all --csv all/lenses.csv",
+            &["all/lenses.csv: output: lies in all, another output", "outside"],
+        ),
+        (
+            "optimize cooke_triplet -o best/o.toml --search 3 --best best",
+            &["best/o.toml: output: lies in best, another output"],
+        ),
+    ] {
+        place.run(arguments).refused(named);
+        assert!(place.files().is_empty(), "{arguments}: {:?}", place.files());
+    }
+}
+
+/// What cannot be printed is no success, and a file where a folder is to be is named as that.
+#[cfg(target_os = "linux")]
+#[test]
+fn what_cannot_be_put_out_is_told() {
+    let place = Workplace::new();
+    for arguments in ["--help", "--version", "inspect --help"] {
+        let full = std::fs::File::options().write(true).open("/dev/full").expect("opens");
+        let said = place.command(arguments).stdout(full).output().expect("runs");
+        let err = String::from_utf8_lossy(&said.stderr);
+        assert_eq!(said.status.code(), Some(1), "{arguments}: {err}");
+        assert!(err.starts_with("error: standard output: ") && err.lines().count() == 1, "{arguments}: {err}");
+    }
+    place.write("file", "kept");
+    for force in ["", "--force"] {
+        place.run(&format!("lenses cooke_triplet -o file {force}")).refused(&["file: output: a file stands there"]);
+    }
+    assert_eq!(std::fs::read_to_string(place.path("file")).expect("reads"), "kept");
+}
+
 /// Where nobody can be told, the work goes on.
 #[cfg(target_os = "linux")]
 #[test]

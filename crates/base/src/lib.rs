@@ -17,6 +17,8 @@ pub mod stop;
 pub mod terminal;
 #[doc(hidden)]
 pub mod testing;
+#[doc(hidden)]
+pub mod threads;
 pub mod units;
 
 pub use error::{Error, Result};

@@ -3,18 +3,39 @@
 use std::borrow::Cow;
 use std::io::{Result, Write};
 
-/// Whether a terminal would do something else than show it: control characters but ends of line and tabs, and marks that turn the direction of a text.
+/// Whether a terminal would do something else than show it: control characters but ends of line and tabs, marks that turn the direction of a text, other ends
+/// of line and paragraph, and what has no width, so that two texts look the same.
 fn steers(c: char) -> bool {
     (c.is_control() && c != '\n' && c != '\t')
-        || matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+        || matches!(
+            c,
+            '\u{061c}'
+                | '\u{200b}'
+                | '\u{200e}'
+                | '\u{200f}'
+                | '\u{2028}'..='\u{202e}'
+                | '\u{2060}'..='\u{2064}'
+                | '\u{2066}'..='\u{2069}'
+                | '\u{feff}'
+        )
 }
 
 /// The text with what would steer a terminal as escapes, `\u001b`: in a string of JSON they are the same characters still.
 pub fn printable(text: &str) -> Cow<'_, str> {
-    if !text.contains(steers) {
+    escaped(text, steers)
+}
+
+/// [`printable`] text within a line: ends of line and tabs are escapes, too. For names, which hold whatever a file or its system lets them.
+pub fn in_line(text: &str) -> Cow<'_, str> {
+    escaped(text, |c| steers(c) || c == '\n' || c == '\t')
+}
+
+/// The text with characters of some kind as escapes.
+fn escaped(text: &str, is: impl Fn(char) -> bool) -> Cow<'_, str> {
+    if !text.contains(&is) {
         return Cow::Borrowed(text);
     }
-    let escaped = text.chars().map(|c| if steers(c) { format!("\\u{:04x}", u32::from(c)) } else { c.to_string() });
+    let escaped = text.chars().map(|c| if is(c) { format!("\\u{:04x}", u32::from(c)) } else { c.to_string() });
     Cow::Owned(escaped.collect())
 }
 
@@ -78,6 +99,9 @@ mod tests {
         assert_eq!(printable("a\tµ\n"), "a\tµ\n");
         assert!(matches!(printable("Cooke triplet, 50 mm"), Cow::Borrowed(_)));
         assert_eq!(printable("\u{1b}]0;x\u{7}\r\u{202e}b"), "\\u001b]0;x\\u0007\\u000d\\u202eb");
+        assert_eq!(printable("a\u{2028}\u{200b}b\u{feff}\n"), "a\\u2028\\u200bb\\ufeff\n");
+        assert_eq!(in_line("a\tb\n\u{2029}c"), "a\\u0009b\\u000a\\u2029c");
+        assert!(matches!(in_line("f/2 – 50 µm"), Cow::Borrowed(_)));
         let text = "µm \u{1b}[2K – ende\u{9b}";
         for size in 1..5 {
             let mut out = Vec::new();

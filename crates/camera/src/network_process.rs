@@ -23,6 +23,7 @@ use super::onnxruntime::{self, Candidate};
 use super::session::{Options, Prepared, Runtime, Session};
 use isoplanat_base::error::{Error, Result};
 use isoplanat_base::math::memory::{GIB, Limit, words as in_words};
+use isoplanat_base::threads;
 use wire::{
     Answer, Asked, Opened, Said, line, line_of, of_input, read_answer, read_tile, words, write_answer, write_tile,
 };
@@ -160,6 +161,10 @@ pub(crate) fn serve(
         Err(why) => return unheld(out, why),
     };
     words(out, &Said::Ready(confinement))?;
+    // In the sandbox, which each thread has from the one that starts it.
+    if let Err(error) = threads::start_pool(0) {
+        return words(out, &Said::Opened(Err(of_input(error, &asked.file))));
+    }
     let mut model = Vec::new();
     input.take(asked.model_bytes).read_to_end(&mut model)?;
     let opened = prepared.open(&model, &asked.file);
@@ -168,26 +173,34 @@ pub(crate) fn serve(
         Ok(session) => session,
         Err(error) => return words(out, &Said::Opened(Err(of_input(error, &asked.file)))),
     };
-    let workers = session.parallel_tiles();
-    words(out, &Said::Opened(Ok(Opened { runtime: session.runtime().clone(), workers })))?;
     let out = Mutex::new(out);
     let (sender, receiver) = mpsc::sync_channel::<(u64, Array4<f32>)>(1);
     let receiver = Mutex::new(receiver);
+    let work = || -> std::io::Result<()> {
+        loop {
+            let next = lock(&receiver).recv();
+            let Ok((id, tile)) = next else { return Ok(()) };
+            let started = Instant::now();
+            let answer = session.run(tile.view()).map_err(|e| of_input(e, &asked.file));
+            let answer = answer.map(|tile| (tile, started.elapsed()));
+            write_answer(&mut **lock(&out), id, &answer)?;
+        }
+    };
     std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..workers)
-            .map(|_| {
-                scope.spawn(|| -> std::io::Result<()> {
-                    loop {
-                        let next = lock(&receiver).recv();
-                        let Ok((id, tile)) = next else { return Ok(()) };
-                        let started = Instant::now();
-                        let answer = session.run(tile.view()).map_err(|e| of_input(e, &asked.file));
-                        let answer = answer.map(|tile| (tile, started.elapsed()));
-                        write_answer(&mut **lock(&out), id, &answer)?;
-                    }
-                })
-            })
-            .collect();
+        let mut workers = Vec::new();
+        for _ in 0..session.parallel_tiles() {
+            match std::thread::Builder::new().spawn_scoped(scope, &work) {
+                Ok(worker) => workers.push(worker),
+                Err(reason) if workers.is_empty() => {
+                    let error = of_input(threads::refused(&reason), &asked.file);
+                    return words(&mut **lock(&out), &Said::Opened(Err(error)));
+                }
+                // Those that could be started are enough.
+                Err(_) => break,
+            }
+        }
+        let opened = Opened { runtime: session.runtime().clone(), workers: workers.len() };
+        words(&mut **lock(&out), &Said::Opened(Ok(opened)))?;
         while let Some((id, tile)) = read_tile(input)? {
             if sender.send((id, tile)).is_err() {
                 break;
@@ -341,10 +354,10 @@ impl Live {
         let (Some(input), Some(output)) = (input, output) else {
             return Err(Error::Internal("the network's process has no pipes".into()));
         };
-        std::thread::spawn(move || pass_on(input, &to_write));
+        threads::start(move || pass_on(input, &to_write))?;
         let (desk, largest) = (Arc::clone(&live.desk), Arc::clone(&live.largest));
         let gone = broke_off(limits);
-        std::thread::spawn(move || listen(BufReader::new(output), &say, &desk, &largest, gone));
+        threads::start(move || listen(BufReader::new(output), &say, &desk, &largest, gone))?;
         // (Nobody hears what could not be sent: the child is gone then, and who waits is told.)
         let tell = |bytes: Vec<u8>| drop(write.send(Written::Words(bytes)));
         tell(line_of(asked).map_err(failed)?);

@@ -19,6 +19,7 @@ use crate::raw::{self, ALLOWED, Area, RawCapture, RawPixels};
 use isoplanat_base::atomic;
 use isoplanat_base::error::{BadInput, Error, Result};
 use isoplanat_base::math::memory::{GIB, Limit, product, words};
+use isoplanat_base::threads;
 use isoplanat_imaging::exif::Exif;
 use isoplanat_imaging::sensor::cfa::Cfa;
 
@@ -38,6 +39,8 @@ const MOST_WORDS: u64 = 16 << 20;
 enum Reply {
     Capture(Box<Header>),
     Refused(BadInput),
+    /// No fault of the file's: the child could not begin.
+    Unready(BadInput),
 }
 
 #[derive(Clone, Copy, Serialize, Deserialize)]
@@ -82,6 +85,10 @@ pub(crate) fn serve(
     match seal() {
         Ok(confinement) => write_line(out, &Ok::<_, String>(confinement))?,
         Err(why) => return unheld(out, why),
+    }
+    // In the sandbox, which each thread has from the one that starts it.
+    if let Err(error) = threads::start_pool(0) {
+        return write_line(out, &Reply::Unready(error.into_bad_input(PLACE, ALLOWED)));
     }
     let mut bytes = Vec::new();
     file.read_to_end(&mut bytes)?;
@@ -163,10 +170,18 @@ fn decode_within(helper: &Helper, path: &Path, limits: Limits, memory: Limit) ->
     let mut child = start.spawn().map_err(|e| Error::starting(helper.program(), e))?;
     let pipe = child.stdout.take().ok_or_else(|| Error::Internal("the RAW decoder has no output".into()))?;
     let (sender, receiver) = mpsc::channel();
-    let reader = std::thread::spawn(move || {
+    let reader = std::thread::Builder::new().spawn(move || {
         // The receiver may have given up already.
         let _ = sender.send(read(BufReader::new(pipe), memory));
     });
+    let reader = match reader {
+        Ok(reader) => reader,
+        Err(reason) => {
+            let _ = child.kill();
+            let _ = child.wait();
+            return Err(threads::refused(&reason));
+        }
+    };
     let outcome = receiver.recv_timeout(limits.time);
     // A child that is not done has nothing more to say that would be read.
     if !matches!(outcome, Ok(Some(Heard::Capture(..)))) {
@@ -178,6 +193,7 @@ fn decode_within(helper: &Helper, path: &Path, limits: Limits, memory: Limit) ->
         Err(_) => Err(failed(format!("the decoder had not finished after {} s", limits.time.as_secs()))),
         Ok(Some(Heard::Capture(capture, confinement))) if status.success() => Ok((*capture, confinement)),
         Ok(Some(Heard::Refused(bad))) => Err(Error::from(bad).of_file(path)),
+        Ok(Some(Heard::Unready(bad))) => Err(Error::from(bad)),
         Ok(Some(Heard::Unheld(why))) => {
             Err(Error::Internal(format!("the RAW decoder was not let near the file: {why}")))
         }
@@ -193,6 +209,7 @@ fn decode_within(helper: &Helper, path: &Path, limits: Limits, memory: Limit) ->
 enum Heard {
     Capture(Box<RawCapture>, Confinement),
     Refused(BadInput),
+    Unready(BadInput),
     Unheld(String),
     TooLarge(Error),
 }
@@ -206,6 +223,7 @@ fn read(mut pipe: impl BufRead, memory: Limit) -> Option<Heard> {
     };
     let header = match read_line(&mut pipe)? {
         Reply::Refused(bad) => return Some(Heard::Refused(bad)),
+        Reply::Unready(bad) => return Some(Heard::Unready(bad)),
         Reply::Capture(header) => *header,
     };
     let planes = if matches!(header.kind, Kind::Linear) { 3 } else { 1 };

@@ -209,7 +209,13 @@ pub fn run(
     if parallel <= 1 {
         work();
     } else {
-        std::thread::scope(|scope| (0..parallel.min(places.len())).for_each(|_| drop(scope.spawn(work))));
+        std::thread::scope(|scope| {
+            // Where the system lets fewer be started, those do the work, and this one where there is none.
+            let started = |_: &usize| std::thread::Builder::new().spawn_scoped(scope, work).is_ok();
+            if (0..parallel.min(places.len())).filter(started).count() == 0 {
+                work();
+            }
+        });
     }
     let way = way.into_inner().unwrap_or_else(PoisonError::into_inner);
     if let Some(error) = way.failed {

@@ -1,12 +1,15 @@
 //! The command line: what it says, or one line on what is wrong with it.
 
 use std::ffi::OsString;
+use std::io::Write as _;
 
 use clap::error::ErrorKind;
 use clap::{ArgMatches, Command, CommandFactory, Error, FromArgMatches};
 
 /// Exit code of bad input.
 const BAD_INPUT: u8 = 2;
+/// Exit code where what was asked for could not be printed.
+const FAILURE: u8 = 1;
 
 /// What the command line asks for, and its words by argument; `Err`: the exit code of a program whose work is done with that (help, the version, a line on what is
 /// wrong, which begins with `before`).
@@ -17,9 +20,15 @@ pub fn asked<C: CommandFactory + FromArgMatches>(before: &str) -> Result<(C, Arg
     let words = joined(std::env::args_os());
     read(&words).map_err(|error| match error.kind() {
         ErrorKind::DisplayHelp | ErrorKind::DisplayVersion | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
-            // A reader that has gone away is no error.
-            let _ = error.print();
-            u8::try_from(error.exit_code()).unwrap_or(BAD_INPUT)
+            let printed = error.print().and_then(|()| std::io::stdout().flush());
+            match printed {
+                // A reader that has gone away is no error.
+                Err(lost) if !error.use_stderr() && lost.kind() != std::io::ErrorKind::BrokenPipe => {
+                    crate::tell!("{before}standard output: {lost}");
+                    FAILURE
+                }
+                _ => u8::try_from(error.exit_code()).unwrap_or(BAD_INPUT),
+            }
         }
         _ => {
             crate::tell!("{before}{} (see `{} --help`)", line(&error), program(&C::command(), &words));

@@ -7,6 +7,7 @@ use isoplanat::imaging::metrics::slanted_edge::{Crossing, EdgeMeasurement, MtfPo
 use isoplanat::report::columns::{Column, table};
 use isoplanat::report::plot::{Mark, Plot, Series};
 use isoplanat::report::table::{Table, numbered};
+use isoplanat::terminal::in_line;
 use serde::Serialize;
 use serde_json::Value;
 
@@ -260,7 +261,7 @@ impl fmt::Display for Listing {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let edge = &self.measured[self.first].edge;
         let r = edge.region;
-        writeln!(f, "{}: {}", self.image, self.source)?;
+        writeln!(f, "{}: {}", in_line(&self.image), in_line(&self.source))?;
         writeln!(
             f,
             "edge at {:.3}° ± {:.3}° from vertical through ({:.2}, {:.2}) px, region {},{},{},{}, {}",

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use hyper_util::rt::TokioIo;
-use isoplanat::{Error, Result};
+use isoplanat::{Error, Result, threads};
 use tokio::io::AsyncWrite;
 use tokio::net::TcpStream;
 use tokio::runtime::Runtime;
@@ -66,12 +66,12 @@ impl Server {
     /// Answers requests from now on; no error of a connection ends it.
     ///
     /// # Errors
-    /// A fault of the program.
+    /// A system that lets no thread be started; a fault of the program.
     pub(super) fn run(self, desk: Desk) -> Result<()> {
         let Self { runtime, listener, .. } = self;
         let (desk, hall, room) = (Arc::new(desk), Arc::new(Hall::default()), Arc::new(Room::default()));
         let (asked, from, seats) = (Arc::clone(&desk), Arc::clone(&hall), Arc::clone(&room));
-        std::thread::spawn(move || door::watch(&listener, &from, &seats, |begin| asked.is_promised(begin)));
+        threads::start(move || door::watch(&listener, &from, &seats, |begin| asked.is_promised(begin)))?;
         // As one task among the others: the runtime lets the outermost one go first.
         let ended = runtime.block_on(async { tokio::spawn(answer(hall, room, desk)).await });
         ended.map_err(|e| Error::Internal(format!("the server ended: {e}")))

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use isoplanat::lens::Lens;
 use isoplanat::report::lens::{LensReport, Options, html};
-use isoplanat::{Error, Result};
+use isoplanat::{Error, Result, threads};
 
 use super::board::Board;
 use crate::analyses::View;
@@ -79,12 +79,15 @@ impl Watch {
     }
 
     /// Shows the subject on `board` from now on, by two threads.
-    pub(super) fn start(self, board: &Arc<Board>) {
+    ///
+    /// # Errors
+    /// A system that lets them not be started.
+    pub(super) fn start(self, board: &Arc<Board>) -> Result<()> {
         let (wanted, asked) = channel();
         let (shown, options) = (Arc::clone(board), self.options.clone());
-        std::thread::spawn(move || whole(&shown, &options, &asked));
+        threads::start(move || whole(&shown, &options, &asked))?;
         let board = Arc::clone(board);
-        std::thread::spawn(move || self.run(&board, &wanted));
+        threads::start(move || self.run(&board, &wanted))
     }
 
     /// Shows the subject anew whenever its file is another and stays so for a moment: editors write a file in more than one step.

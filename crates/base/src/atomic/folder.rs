@@ -88,7 +88,14 @@ fn named(error: Error, temporary: &Path, folder: &Path) -> Error {
 pub(super) fn target(folder: &Path) -> Result<PathBuf> {
     match place::of(folder)? {
         Destination::Free(target) | Destination::Folder(target) if target.file_name().is_some() => Ok(target),
-        _ => Err(Error::Exists(folder.to_owned())),
+        found => {
+            let found = match found {
+                Destination::File(..) => "a file stands there",
+                Destination::Stream(_) => "a device or a pipe stands there",
+                Destination::Free(_) | Destination::Folder(_) => "the root of all folders",
+            };
+            Err(Error::bad(folder.display().to_string(), "output", found, "the name of a folder"))
+        }
     }
 }
 

@@ -57,14 +57,15 @@ pub(super) fn resolved(path: &Path) -> Result<PathBuf> {
     })
 }
 
-/// Whether all paths are different places: `.`, `..` and links count as what they lead to, of what is not there yet the folders around it.
+/// Whether all paths, of files and folders, are different places, none inside of another: `.`, `..` and links count as what they lead to, of what is not there yet the
+/// folders around it.
 ///
 /// Devices and pipes may be named twice: nothing is replaced there.
 ///
 /// # Errors
-/// A place named twice; a path that cannot be looked at.
+/// A place named twice; one inside of another, which would be replaced with all that is in it; a path that cannot be looked at.
 pub fn distinct(paths: &[&Path]) -> Result<()> {
-    let mut seen: Vec<PathBuf> = Vec::new();
+    let mut seen: Vec<(&Path, PathBuf)> = Vec::new();
     for path in paths {
         if matches!(of(path)?, Destination::Stream(_)) {
             continue;
@@ -74,11 +75,23 @@ pub fn distinct(paths: &[&Path]) -> Result<()> {
             // Their file systems do not tell capitals apart.
             place = place.to_string_lossy().to_lowercase().into();
         }
-        if seen.contains(&place) {
-            let file = path.display().to_string();
-            return Err(Error::bad(file, "output", "named for two outputs", "a file of its own for each"));
+        let refused =
+            |path: &Path, found: String, allowed| Err(Error::bad(path.display().to_string(), "output", found, allowed));
+        let inside = |path: &Path, outer: &Path| {
+            refused(path, format!("lies in {}, another output", outer.display()), "a place outside of it")
+        };
+        for (other, taken) in &seen {
+            if *taken == place {
+                return refused(path, "named for two outputs".to_owned(), "a name of its own for each");
+            }
+            if place.starts_with(taken) {
+                return inside(path, other);
+            }
+            if taken.starts_with(&place) {
+                return inside(other, path);
+            }
         }
-        seen.push(place);
+        seen.push((path, place));
     }
     Ok(())
 }

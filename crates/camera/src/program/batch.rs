@@ -11,6 +11,7 @@ use crate::reconstruct::Camera;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use isoplanat_base::error::{Error, Result};
 use isoplanat_base::math::memory::Limit;
+use isoplanat_base::terminal::in_line;
 use serde_json::json;
 
 use crate::program::bench::Figures;
@@ -130,7 +131,8 @@ impl<'a> Batch<'a> {
         if !self.told.json {
             self.bar.suspend(|| {
                 let of = named.as_ref().map_or_else(String::new, |name| format!(", {name}"));
-                say(&format!("{} -> {} ({columns} × {rows}{of})", capture.display(), out.display()));
+                let [from, to] = [capture, out].map(|path| path.display().to_string());
+                say(&format!("{} -> {} ({columns} × {rows}{})", in_line(&from), in_line(&to), in_line(&of)));
                 if self.told.bench {
                     if let Some(network) = camera.network() {
                         say(&format!("runtime             {}", network.runtime()));

@@ -29,10 +29,7 @@ pub(crate) fn run(arguments: &Arguments) -> u8 {
 
 fn work(arguments: &Arguments) -> Result<u8> {
     isoplanat_base::math::simd::check_environment()?;
-    if arguments.running.threads > 0 {
-        // Fails only if the pool is in use already.
-        let _ = rayon::ThreadPoolBuilder::new().num_threads(arguments.running.threads).build_global();
-    }
+    isoplanat_base::threads::start_pool(arguments.running.threads)?;
     let memory = arguments.running.memory_gib.map_or_else(|| Ok(Limit::of_process()), Limit::gib)?;
     memory.hold();
     let means = Means { helper: Helper::current()?, memory };

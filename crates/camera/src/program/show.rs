@@ -3,6 +3,7 @@
 use crate::kit::Kit;
 use isoplanat_base::error::Result;
 use isoplanat_base::figures::significant;
+use isoplanat_base::terminal::in_line;
 use isoplanat_imaging::guide::Filters;
 use serde_json::json;
 
@@ -106,6 +107,7 @@ pub(crate) fn show_kit(kit: &Kit, as_json: bool) -> Result<()> {
             kit.sensor.name, kit.sensor.cfa, kit.sensor.bits, kit.sensor.black_level, kit.sensor.white_level
         ),
     ];
+    let lines: Vec<_> = lines.iter().map(|line| in_line(line)).collect();
     say(&lines.join("\n"));
     Ok(())
 }

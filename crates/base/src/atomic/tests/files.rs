@@ -308,6 +308,14 @@ fn two_outputs_are_two_places() {
         let error = distinct(&[&at(one), &at("else.csv"), &at(other)]).expect_err(other).to_string();
         assert!(error.contains(other) && error.contains("two outputs"), "{error}");
     }
+    for [outer, inner] in [["sub", "sub/a.csv"], ["new", "new/deep/a.csv"], ["sub", "other/a.csv"], ["other", "sub/a"]]
+    {
+        for [one, other] in [[outer, inner], [inner, outer]] {
+            let error = distinct(&[&at(one), &at("else.csv"), &at(other)]).expect_err(inner).to_string();
+            assert!(error.contains(&format!("{inner}: output: lies in ")), "{error}");
+        }
+    }
+    distinct(&[&at("a"), &at("a.csv"), &at("ab/a")]).expect("all different");
     let null = Path::new("/dev/null");
     distinct(&[&at("a.csv"), &at("b.csv"), &at("sub/a.csv"), null, null]).expect("all different");
 }

@@ -250,10 +250,10 @@ fn links_around_folders_and_modes() {
         assert!(put_folder(path, Replace::Always, "x").is_err());
     };
     fs::write(at("file"), "x").expect("writes");
-    refused(&at("file"), "exists already");
+    refused(&at("file"), "a file stands there");
     refused(&at("file/run"), "Not a directory");
-    refused(Path::new("/"), "exists already");
-    refused(Path::new("/dev/null"), "exists already");
+    refused(Path::new("/"), "the root");
+    refused(Path::new("/dev/null"), "a device");
     refused(&at(&"n".repeat(256)), "name too long");
     refused(&at("none").join("n".repeat(256)).join("run"), "name too long");
     if Path::new("/proc/sys").is_dir() {
