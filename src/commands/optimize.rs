@@ -9,7 +9,7 @@ use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::interchange::{Form, text_of};
 use isoplanat::lens::paraxial::first_order;
-use isoplanat::lens::{Lens, prescription};
+use isoplanat::lens::{Lens, Parameter, prescription};
 use isoplanat::optimize::pool::Pool;
 use isoplanat::optimize::search::{Plan, Progress, search};
 use isoplanat::optimize::spec::{Range, Spec, Wanted, glasses};
@@ -196,6 +196,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     // The lens is there for who wants to look; who goes on without looking is stopped.
     let asked_for = |h: &&Valued<Constraint>| spec.asks_for(&problem, h.of.quantity);
     let broken: Vec<String> = outcome.broken().filter(asked_for).take(MOST_BROKEN).map(said(&problem)).collect();
+    let broken: Vec<String> = broken.into_iter().chain(beyond(&problem, &outcome.lens)).take(MOST_BROKEN).collect();
     anyhow::ensure!(
         broken.is_empty(),
         "{}: what was asked for is not kept: {}",
@@ -203,6 +204,18 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         broken.join("; ")
     );
     Ok(())
+}
+
+/// Numbers beyond their bounds: those that somebody asked for, since the start lies within the standard ones.
+fn beyond(problem: &Problem, lens: &Lens) -> Vec<String> {
+    const KEPT: f64 = 1e-6;
+    let of = |(p, [low, high]): (&Parameter, &[f64; 2])| {
+        let value = p.value(&**lens)?;
+        let off = (low - value).max(value - high);
+        (off > KEPT * value.abs().max(1e-3))
+            .then(|| format!("{} is {} (allowed: {})", p.name(lens), significant(value, 6), allowed([*low, *high])))
+    };
+    problem.variables.parameters.iter().zip(&problem.bounds).filter_map(of).collect()
 }
 
 /// A broken constraint in words.

@@ -114,6 +114,8 @@ fn what_a_better_lens_pays_is_told() {
     let broken = ran_to(1, "double_gauss --constraint back_focus=60..");
     assert!(broken.err.contains("found.toml: what was asked for is not kept: back_focus is "), "{}", broken.err);
     place.run("inspect found.toml").done();
+    let broken = ran_to(1, "cooke_triplet --bound surface[*].thickness=0..0");
+    assert!(broken.err.contains("is not kept: surface[0].thickness is "), "{}", broken.err);
     let told = said("cooke_triplet --constraint track=..30");
     assert!(told.iter().any(|w| w.starts_with("the lens is worse than its start by rms, 12.19 ->")), "{told:?}");
     let (free, held) = (said("sonnar"), said("sonnar --constraint distortion=-0.02..0.02"));

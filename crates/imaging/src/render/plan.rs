@@ -12,10 +12,10 @@ use crate::frame::Frame;
 use crate::plane::Region;
 use crate::render::node_grid::NodeGrid;
 use crate::sensor::spectrum::SpectralDensity;
-use isoplanat_base::error::Result;
+use isoplanat_base::error::{Error, Result};
 use isoplanat_optics::lens::Lens;
 use isoplanat_optics::psf::table::Tolerance;
-use isoplanat_optics::psf::{Model, Optics, OpticsSpec, Quadrature};
+use isoplanat_optics::psf::{Model, Optics, OpticsSpec, Quadrature, SensorPoint};
 
 /// Largest error of rays between the table's radii, pixels.
 const LANDING_ERROR_PX: f64 = 0.02;
@@ -175,7 +175,7 @@ pub fn frame_of(lens: &Lens) -> Result<Frame> {
 /// table's errors.
 ///
 /// # Errors
-/// As [`Optics::compute`].
+/// As [`Optics::compute`]; no light on the axis.
 #[doc(hidden)]
 pub fn optics(
     lens: &Lens,
@@ -196,7 +196,15 @@ pub fn optics(
         illuminations,
         diffraction: Model::Rays,
     };
-    Optics::adapted(lens, spec, tolerance)
+    let (optics, errors) = Optics::adapted(lens, spec, tolerance)?;
+    // White is the light on the axis; of rays that all end at an aperture much smaller than the others there is none, though some may come through beside them.
+    let white: f64 = optics.illumination().at(SensorPoint::AXIS).iter().sum();
+    if white.is_nan() || white <= 0.0 {
+        let found = "no ray that was tried comes through on the axis";
+        let allowed = "clear apertures of the size of the beam; rays from the sensor try more (--method monte-carlo)";
+        return Err(Error::bad(lens.file(), "semi_diameter", found, allowed));
+    }
+    Ok((optics, errors))
 }
 
 impl RenderPlan {
