@@ -1,6 +1,7 @@
 //! JSON of DeepLens and of Optiland: told apart by their keys.
 
 mod deeplens;
+mod once;
 mod optiland;
 
 pub(super) use deeplens::medium;
@@ -13,8 +14,14 @@ use isoplanat_base::error::{Error, Location, Result};
 pub(super) fn read(text: &str, file: &str) -> Result<Draft> {
     // Programs in Python write infinities, which JSON does not have.
     let plain = words(text);
-    let value: Value = serde_json::from_str(&plain).map_err(|e| {
-        Error::bad(file, Location::line(e.line()), format!("no JSON: {e}"), "a lens of DeepLens or Optiland")
+    let once::Once(value) = serde_json::from_str(&plain).map_err(|e| {
+        // A text of JSON has no data that a value cannot take, but keys that stand twice.
+        let (found, allowed) = if e.is_data() {
+            (e.to_string(), "each key of an object once")
+        } else {
+            (format!("no JSON: {e}"), "a lens of DeepLens or Optiland")
+        };
+        Error::bad(file, Location::line(e.line()), found, allowed)
     })?;
     if value.get("surface_group").is_some() {
         optiland::read(&value, file)
@@ -115,6 +122,22 @@ impl<'a> Part<'a> {
 
 #[cfg(test)]
 mod tests {
+    /// A key twice in one object, at any depth, is refused by its name, with other values or the same; the same key of other objects is another.
+    #[test]
+    fn keys_that_stand_twice_are_refused() {
+        for (text, line, key) in [
+            ("{\"surfaces\": [],\n \"surfaces\": []}", 2, "surfaces"),
+            ("{\"surfaces\": [{\"d\": 1},\n {\"d\": 1, \"roc\": Infinity,\n \"d\": 2}]}", 3, "d"),
+            ("{\"surface_group\": {\"a\": {\"x\": null, \"\\u0078\": null}}}", 1, "x"),
+        ] {
+            let error = super::read(text, "a.json").map(|_| ()).expect_err(text).to_string();
+            let told = format!("a.json: line {line}: the key `{key}` stands twice");
+            assert!(error.starts_with(&told) && error.ends_with("; each key of an object once"), "{error}");
+        }
+        let error = super::read("{\"a\": 1", "a.json").map(|_| ()).expect_err("open").to_string();
+        assert!(error.contains("no JSON: "), "{error}");
+    }
+
     #[test]
     fn infinities_become_strings_outside_strings_only() {
         let text = r#"{"a": -Infinity, "b \" NaN": [Infinity, NaN], "c": "Infinity"}"#;

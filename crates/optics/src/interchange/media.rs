@@ -47,7 +47,11 @@ impl Stated {
         let medium = match self {
             Self::Air => Medium::Air,
             Self::Glass(name) => glasses.find(name, Naming::Foreign(catalogues))?,
-            Self::Line(line) => return line.resolve(glasses, catalogues),
+            Self::Line(line) => {
+                let (medium, told) = line.resolve(glasses, catalogues)?;
+                let all: Vec<String> = told.into_iter().chain(glasses.repeated(&medium)).collect();
+                return Ok((medium, (!all.is_empty()).then(|| all.join("; "))));
+            }
             Self::Lines { n_d, v_d } => cauchy_of_lines(*n_d, *v_d)?,
             Self::Pair { n_d, v_d } => Medium::Cauchy { n_d: *n_d, v_d: *v_d },
             Self::Constant(n) => constant(*n)?,
@@ -58,6 +62,7 @@ impl Stated {
                 Medium::Table { wavelength_nm, index }
             }
         };
-        Ok((medium, None))
+        let told = glasses.repeated(&medium);
+        Ok((medium, told))
     }
 }

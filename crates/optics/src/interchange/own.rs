@@ -61,16 +61,20 @@ pub(super) fn read(text: &str, file: &str, glasses: &Glasses, reading: Reading) 
     Ok(Imported { lens: Lens::new(numbers, file)?, notes })
 }
 
-/// A name of this program's own form is a shipped glass's: told where a catalogue that was given has another of that name.
+/// A name of this program's own form is a shipped glass's: told where a catalogue that was given has another of that name, and of another glass where its own
+/// catalogue has the name more than once.
 fn namesakes(numbers: &Prescription, glasses: &Glasses) -> Vec<String> {
     let mut told: Vec<String> = Vec::new();
     for medium in numbers.media() {
-        let others = glasses.namesakes(medium);
-        if !others.is_empty() {
-            let note = format!(
+        let shipped = Glasses::shipped().named_as(medium).is_some();
+        let others = if shipped { glasses.namesakes(medium) } else { Vec::new() };
+        let another = (!others.is_empty()).then(|| {
+            format!(
                 "glass {medium} is that of the shipped catalogues; {} is another of that name, which a file names so",
                 others.join(" and ")
-            );
+            )
+        });
+        for note in another.into_iter().chain(glasses.repeated(medium)) {
             if !told.contains(&note) {
                 told.push(note);
             }
@@ -106,6 +110,44 @@ mod tests {
             assert!(read.notes.iter().all(|n| n.contains("mine/F2")), "{:?}", read.notes);
             let shipped = Glasses::shipped().find("F2", Naming::Exact).expect("shipped");
             assert!(read.lens.surfaces.iter().any(|s| s.medium == shipped));
+        }
+    }
+
+    /// A catalogue that has a name twice with other data: it is told which catalogue, and that the last is taken, by the name alone and with its catalogue; nothing
+    /// is said of shipped catalogues, which do not have it. Twice the same data says nothing.
+    #[test]
+    fn names_twice_in_one_catalogue_are_told() {
+        let own = builtin::text("cooke_triplet").expect("shipped");
+        let glass = own.split('"').find(|w| w.ends_with("SK16")).expect("its crown");
+        let folder = tempfile::tempdir().expect("made");
+        let path = folder.path().join("dup.agf");
+        for (first, notes) in [("1.2", 1), ("1.5", 0)] {
+            let one = |b: &str| format!("NM HX 2 0 1.5 64 0 1\nCD {b} 0.006\nLD 0.3 2.5\n");
+            std::fs::write(&path, one(first) + &one("1.5")).expect("written");
+            let mut glasses = Glasses::shipped().clone();
+            glasses.add(&path).expect("reads");
+            let zmx = "VERS 1\nMODE SEQ\nUNIT MM\nENPD 5\nFTYP 0 0 1 1\nYFLN 3\nWAVM 1 0.5875618 1\nPWAV 1\nSURF 0\n  DISZ INFINITY\n\
+                       SURF 1\n  STOP\n  CURV 0.02\n  DISZ 3\n  GLAS HX\nSURF 2\n  DISZ 45\nSURF 3\n  DISZ 0\n";
+            let toml = |name: &str| own.replace(&format!("\"{glass}\""), &format!("\"{name}\""));
+            let form = crate::interchange::Form::Zmx;
+            for read in [
+                read(&toml("HX"), "own.toml", &glasses, Reading::default()),
+                read(&toml("dup/HX"), "own.toml", &glasses, Reading::default()),
+                crate::interchange::parse(zmx, form, "a.zmx", &glasses),
+            ] {
+                let Imported { lens, notes: told } = read.expect("reads");
+                let told: Vec<&String> = told.iter().filter(|n| n.contains("HX")).collect();
+                assert_eq!(told.len(), notes, "{told:?}");
+                for note in told {
+                    assert!(
+                        note.contains("catalogue dup has that name 2 times") && note.contains("the last"),
+                        "{note}"
+                    );
+                    assert!(!note.contains("shipped") && note.contains("dup.agf"), "{note}");
+                }
+                let index = lens.surfaces[0].medium.index(500.0);
+                assert_rel(index, (1.0 + 1.5 * 0.25 / (0.25 - 0.006_f64)).sqrt(), 1e-12, 0.0, "the last");
+            }
         }
     }
 

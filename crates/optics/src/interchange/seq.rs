@@ -21,11 +21,13 @@ use statements::{Statement, statements};
 use zoom::Zoom;
 
 /// Statements that no ray depends on, or that only say what may vary.
-const HARMLESS: [&str; 41] = [
+const HARMLESS: [&str; 40] = [
     "LEN", "INI", "TEM", "PRE", "DER", "GO", "WTF", "SLB", "CCY", "THC", "GLC", "KC", "CCX", "AC", "BC", "CC", "DC",
-    "EC", "FC", "GC", "HC", "JC", "COM", "IN", "OUT", "VIE", "DOR", "CA", "GL2", "EXI", "CLS", "WRL", "SAV", "SET",
-    "DRW", "CKC", "GLN", "MFL", "SPH", "DDM", "UID",
+    "EC", "FC", "GC", "HC", "JC", "COM", "OUT", "VIE", "DOR", "CA", "GL2", "EXI", "CLS", "WRL", "SAV", "SET", "DRW",
+    "CKC", "GLN", "MFL", "SPH", "DDM", "UID",
 ];
+/// Statements that say what the text itself does not: they are refused by name wherever they stand.
+const ELSEWHERE: [&str; 2] = ["IN", "SCA"];
 /// Solves that are kept as their value, which stands in the surface.
 const SOLVES: [&str; 6] = ["PIK", "UMY", "IMY", "UCY", "HCY", "CUM"];
 /// Fields and wavelengths at most.
@@ -96,8 +98,9 @@ pub(super) fn read(text: &str, file: &str, glasses: &Glasses, reading: Reading) 
     let mut known = false;
     for statement in statements(text) {
         let result = reader.take(&statement);
-        // A file of another kind fails at its first word.
-        if !known && (result.is_err() || !reader.unknown.is_empty()) {
+        // A file of another kind fails at its first word; prose has more words behind an `In`.
+        let own = statement.words.len() == 2 && ELSEWHERE.iter().any(|w| statement.words[0].eq_ignore_ascii_case(w));
+        if !known && !own && (result.is_err() || !reader.unknown.is_empty()) {
             let found = format!("`{}`", shown(statement.words[0]));
             let allowed = "a CODE V sequence, which begins with statements such as RDM, LEN, TITLE";
             return Err(Error::bad(file, Location::line(statement.line), found, allowed));
@@ -186,6 +189,18 @@ impl Reader<'_> {
                     self.draft.image.curvature = surface::curvature(number, radius) / unit;
                 }
                 self.image = Some(line.optional(1)?.unwrap_or(0.0) * unit);
+            }
+            "IN" => {
+                let found = format!("the file `{}` is included (IN)", shown(&line.words.join(" ")));
+                return Err(
+                    line.refused(found, "all statements in one file: put those of that file in the place of the line")
+                );
+            }
+            "SCA" if line.words.len() == 1 && line.words[0].parse::<f64>() == Ok(1.0) => {}
+            "SCA" => {
+                let found =
+                    format!("the lens is to be scaled: {}", shown(format!("SCA {}", line.words.join(" ")).trim_end()));
+                return Err(line.refused(found, "a lens that was saved scaled, without SCA or with SCA 1"));
             }
             _ if HARMLESS.contains(&keyword) => {}
             _ if SOLVES.contains(&keyword) => self.solved.push(format!("{keyword} ({})", line.place)),

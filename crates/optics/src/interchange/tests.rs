@@ -226,6 +226,69 @@ fn of_glass(catalogues: &str, glas: &str, glasses: &Glasses) -> std::result::Res
     Ok((read.lens.surfaces[0].medium.index(587.5618), read.notes))
 }
 
+/// What a Zemax file states once and states again with another value is refused with both; the same statement again is one.
+#[test]
+fn statements_of_zemax_files_that_differ_are_refused() {
+    let plain = zmx("SCHOTT", "N-BK7 0 0 1.5168 64.17");
+    let after = |line: &str, more: &str| plain.replacen(&format!("{line}\n"), &format!("{line}\n{more}\n"), 1);
+    let read = |text: &str| parse(text, Form::Zmx, "a.zmx", Glasses::shipped());
+    let lens = read(&plain).expect("reads").lens;
+    for (line, again, other, why) in [
+        (
+            "  CURV 0.025",
+            "  CURV 2.5e-2 0 0 0 0 \"\"",
+            "  CURV 0.03",
+            "CURV 0.03 beside 0.025 at line 14 (SURF 1); one",
+        ),
+        ("  DISZ 3", "  DISZ 3.0", "  DISZ 4", "DISZ 4 beside 3 at line 15 (SURF 1); one"),
+        ("  STOP", "  CONI 0\n  CONI 0.0", "  CONI 0\n  CONI 1", "CONI 1 beside 0 at line 14 (SURF 1); one"),
+        ("  STOP", "  PARM 1 0\n  PARM 1 0.0", "  PARM 1 0\n  PARM 1 1", "PARM 1 1 beside 0 at"),
+        (
+            "  STOP",
+            "  TYPE STANDARD\n  TYPE STANDARD",
+            "  TYPE STANDARD\n  TYPE EVENASPH",
+            "TYPE EVENASPH beside STANDARD",
+        ),
+        ("  GLAS N-BK7 0 0 1.5168 64.17", "  GLAS N-BK7 0 0 1.5168 64.17 0", "  GLAS F2", "GLAS F2 beside N-BK7 0 0"),
+        (
+            "WAVM 1 0.5875618 1",
+            "WAVM 1 0.5875618 1.0",
+            "WAVM 1 0.65 1",
+            "WAVM 1 0.65 1 beside 0.5875618 1 at line 8; one",
+        ),
+        ("UNIT MM", "UNIT MM", "UNIT IN", "UNIT IN beside MM at line 3; one"),
+    ] {
+        assert_eq!(read(&after(line, again)).expect(again).lens.surfaces, lens.surfaces, "{again}");
+        let error = read(&after(line, other)).expect_err(other).to_string();
+        assert!(error.contains(why), "{error}");
+    }
+    // Other parameters, and those of other surfaces, are other statements.
+    let text = after("  STOP", "  PARM 1 0\n  PARM 2 0").replace("SURF 2\n", "SURF 2\n  PARM 1 0.0\n");
+    assert_eq!(read(&text).expect("reads").lens.surfaces, lens.surfaces);
+}
+
+/// A sequence that takes in another file, or scales the lens, is not the lens that stands in its text: refused by name, wherever it stands.
+#[test]
+fn included_files_and_scales_are_refused() {
+    let text = |more: &str| format!("RDM\n{HEAD}S 40 3 NBK7_SCHOTT\nSTO\nS -60 45\nSI 0 0\n{more}GO\n");
+    for (more, why) in [
+        ("IN \"other.seq\"\n", "the file `other.seq` is included (IN); all statements in one file"),
+        ("in other.seq\n", "`other.seq`"),
+        ("SCA 2\n", "the lens is to be scaled: SCA 2; a lens that was saved scaled"),
+        ("SCA EFL 1\n", "SCA EFL 1"),
+        ("SCA\n", "to be scaled"),
+    ] {
+        let first = format!("RDM\n{more}{}", text(""));
+        for text in [text(more), first, text("").replace("STO\n", &format!("STO\n{more}"))] {
+            let error = refusal(&text);
+            assert!(error.contains(why), "{error}");
+        }
+    }
+    assert!(refusal("IN other.seq\nRDM\n").contains("is included"));
+    assert!(refusal("In the beginning was the word\n").contains("CODE V sequence"));
+    assert_eq!(read(&text("SCA 1\n")).lens.surfaces, read(&text("")).lens.surfaces);
+}
+
 /// Another maker's glass of the same name is not taken; numbers that a line only keeps are no statement.
 #[test]
 fn glasses_are_held_against_their_lines() {

@@ -2,6 +2,7 @@
 
 use crate::lens::{Field, Lens, paraxial};
 use isoplanat_base::error::{Error, Location, Result};
+use std::collections::BTreeMap;
 
 /// The largest object's height, mm, where a file states heights: those of the lens, or those of its angles where it is telecentric in
 /// object space and other programs know no angles.
@@ -80,6 +81,42 @@ impl Line<'_> {
         let number = digits.parse::<usize>().ok().filter(|n| *n <= most);
         number.ok_or_else(|| self.refused(format!("`{}`", shown(word)), format!("a whole number up to {most}")))
     }
+}
+
+/// Lines that a file states once: what each of them said first, and where.
+#[derive(Default)]
+pub(super) struct Once(BTreeMap<String, (Vec<String>, Location)>);
+
+impl Once {
+    /// Takes the line `key`, whose numbers begin with the word `from`. The same line again is the same statement.
+    ///
+    /// # Errors
+    /// A second line of that key with other words: which one counts is not for this program to choose.
+    pub(super) fn take(&mut self, key: &str, from: usize, line: &Line) -> Result<()> {
+        let words = line.words.get(from..).unwrap_or_default();
+        match self.0.get(key) {
+            None => {
+                let stated = words.iter().map(|w| (*w).to_owned()).collect();
+                self.0.insert(key.to_owned(), (stated, line.place.clone()));
+                Ok(())
+            }
+            Some((first, _)) if alike(first, words) => Ok(()),
+            Some((first, place)) => {
+                let found = format!("{key} {} beside {} at {place}", shown(&words.join(" ")), shown(&first.join(" ")));
+                Err(line.refused(found, format!("one statement of {key}")))
+            }
+        }
+    }
+}
+
+/// Whether two lines say the same: what the shorter one leaves out is 0 or an empty text.
+fn alike(a: &[String], b: &[&str]) -> bool {
+    let number = |w: &str| if w.trim_matches('"').is_empty() { Some(0.0) } else { w.parse::<f64>().ok() };
+    let word = |w: Option<&str>| w.unwrap_or("\"\"").to_owned();
+    (0..a.len().max(b.len())).all(|i| {
+        let (a, b) = (word(a.get(i).map(String::as_str)), word(b.get(i).copied()));
+        a == b || number(&a).is_some_and(|a| number(&b) == Some(a))
+    })
 }
 
 /// A word of a file as an error shows it: short, without control characters.

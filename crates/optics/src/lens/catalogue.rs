@@ -364,6 +364,20 @@ impl Glasses {
         self.catalogues.iter().filter(other).map(|c| format!("{}/{name}", c.name)).collect()
     }
 
+    /// What is told of a medium whose catalogue has its name more than once with other indices: the last one is what the name stands for.
+    pub(crate) fn repeated(&self, medium: &Medium) -> Option<String> {
+        let Medium::Glass { name, source, .. } = medium else { return None };
+        self.catalogues.iter().find_map(|c| {
+            let all: Vec<&Entry> = c.entries.iter().filter(|e| e.name == *name && e.medium.is_ok()).collect();
+            let last = all.last().filter(|e| e.medium.as_ref() == Ok(medium))?;
+            let differ = all.iter().any(|e| !same(&e.medium, &last.medium));
+            differ.then(|| {
+                let (catalogue, count) = (&c.name, all.len());
+                format!("glass {name}: the catalogue {catalogue} has that name {count} times, with different data; the last one is taken, of {source}")
+            })
+        })
+    }
+
     /// Near names, in words.
     fn near(&self, name: &str) -> String {
         let key = spelled;

@@ -5,13 +5,16 @@ use std::collections::BTreeMap;
 use super::order::Order;
 use super::surface::{self, Raw};
 use crate::interchange::draft::{Draft, FieldKind, Point, Size};
-use crate::interchange::text::{Line, shown};
+use crate::interchange::text::{Line, Once, shown};
 use isoplanat_base::error::Result;
 
 /// Most field points and wavelengths that a file states: more than a lens has, so that what was written is read.
 const MOST: usize = 128;
 /// The d line, nm: what a model glass of `n_d`, `V_d` is stated at.
 const D_LINE_NM: f64 = 587.561_8;
+
+/// What a file states once and what else would take over: its unit, its fields' kind, the number of its reference wavelength.
+const ONCE: [&str; 3] = ["UNIT", "FTYP", "PWAV"];
 
 /// What the header says.
 #[derive(Default)]
@@ -24,6 +27,7 @@ pub(super) struct Header {
     primary: Option<usize>,
     columns: BTreeMap<&'static str, Vec<f64>>,
     wavelengths: BTreeMap<usize, (f64, f64)>,
+    stated: Once,
     catalogues: Vec<String>,
     title: String,
     pub(super) notes: Vec<String>,
@@ -47,6 +51,9 @@ const COLUMNS: [(&str, &str); 9] = [
 impl Header {
     /// Takes a keyword of the header; whether it is one.
     pub(super) fn read(&mut self, keyword: &str, line: &Line, raw: &str) -> Result<bool> {
+        if ONCE.contains(&keyword) {
+            self.stated.take(keyword, 0, line)?;
+        }
         match keyword {
             "MODE" if line.words.first() != Some(&"SEQ") => {
                 return Err(line.refused(format!("mode {}", shown(&line.words.join(" "))), "SEQ: sequential lenses"));
@@ -99,6 +106,7 @@ impl Header {
             }
             "WAVM" => {
                 let (i, um, weight) = (line.count(0, 1000)?, line.number(1)?, line.optional(2)?.unwrap_or(1.0));
+                self.stated.take(&format!("WAVM {i}"), 1, line)?;
                 self.wavelengths.insert(i, (um * 1e3, weight));
             }
             "PWAV" => self.primary = Some(line.count(0, 1000)?),

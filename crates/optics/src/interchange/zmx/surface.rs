@@ -6,7 +6,7 @@ use super::shapes;
 use crate::interchange::draft::{Draft, Stage};
 use crate::interchange::line_glass::OfLine;
 use crate::interchange::media::Stated;
-use crate::interchange::text::{Line, shown};
+use crate::interchange::text::{Line, Once, shown};
 use crate::lens::ImageSurface;
 use isoplanat_base::error::{Error, Location, Result};
 
@@ -18,6 +18,8 @@ const HARMLESS: [&str; 25] = [
 /// Keywords by which a thickness follows from something else; its value stands in DISZ.
 const SOLVES: [&str; 12] =
     ["MAZH", "CHZH", "PZUP", "EDGT", "OPDZ", "POSI", "COMP", "CNTR", "PUPZ", "TTHI", "EDGE", "ZPLM"];
+/// What a surface has once, beside its parameters by their numbers.
+const ONCE: [&str; 5] = ["TYPE", "CURV", "CONI", "DISZ", "GLAS"];
 /// Distances from here on are infinite, in any unit.
 const INFINITE: f64 = 1e10;
 /// Parameters that a surface's type has at most.
@@ -41,6 +43,7 @@ pub(super) struct Raw {
     pickup: Option<(Location, usize, f64)>,
     solved: Vec<String>,
     apertures: Apertures,
+    stated: Once,
 }
 
 impl Raw {
@@ -60,6 +63,7 @@ impl Raw {
             pickup: None,
             solved: Vec::new(),
             apertures: Apertures::default(),
+            stated: Once::default(),
         }
     }
 
@@ -70,6 +74,9 @@ impl Raw {
 
     /// Takes a keyword; whether it is a surface's.
     pub(super) fn read(&mut self, keyword: &str, line: &Line) -> Result<bool> {
+        if ONCE.contains(&keyword) {
+            self.stated.take(keyword, 0, line)?;
+        }
         match keyword {
             "TYPE" => self.kind = line.words.first().copied().unwrap_or("STANDARD").to_owned(),
             "STOP" => self.stop = true,
@@ -87,6 +94,7 @@ impl Raw {
             "CONI" => self.conic = line.number(0)?,
             "PARM" => {
                 let i = line.count(0, PARAMETERS)?;
+                self.stated.take(&format!("PARM {i}"), 1, line)?;
                 if self.parameters.len() <= i {
                     self.parameters.resize(i + 1, 0.0);
                 }
@@ -94,6 +102,7 @@ impl Raw {
             }
             "XDAT" => {
                 let i = line.count(0, PARAMETERS)?;
+                self.stated.take(&format!("XDAT {i}"), 1, line)?;
                 if self.extra.len() <= i {
                     self.extra.resize(i + 1, 0.0);
                 }

@@ -1,4 +1,6 @@
 //! AGF catalogues: a glass is a line `NM name formula code n_d V_d exclude status …`, with its coefficients in `CD` and its range in `LD` (µm).
+//!
+//! A glass without its coefficients would be one of index 1, and of two lines of them one is another glass's: both are refused.
 
 use super::{Entry, finite, glass};
 use crate::lens::dispersion::Formula;
@@ -8,25 +10,36 @@ use isoplanat_base::error::{Error, Location, Result};
 /// resistances, transmission, mechanics, bubbles.
 const HARMLESS: [&str; 8] = ["GC", "ED", "TD", "OD", "IT", "CC", "MD", "BD"];
 
+/// What a line of coefficients, and one of wavelengths, are.
+const COEFFICIENTS: &str = "one line CD with the coefficients of its formula, behind the glass's NM";
+const WAVELENGTHS: &str = "one line LD with shortest and longest wavelength in µm, behind the glass's NM";
+
 /// A glass as its lines have it so far.
 struct Glass<'a> {
+    /// Where it begins, from 1.
+    line: usize,
     name: &'a str,
     formula: std::result::Result<(Formula, usize), String>,
-    coefficients: Vec<f64>,
+    coefficients: Option<Vec<f64>>,
     range_um: Option<[f64; 2]>,
     obsolete: bool,
 }
 
 impl Glass<'_> {
-    fn entry(self, file: &str) -> Entry {
+    fn entry(self, file: &str) -> Result<Entry> {
+        // A formula that is none needs no coefficients: the glass is none.
+        if self.formula.is_ok() && self.coefficients.is_none() {
+            let found = format!("glass `{}` without coefficients", self.name);
+            return Err(Error::bad(file, Location::line(self.line), found, COEFFICIENTS));
+        }
         let medium = self.formula.and_then(|(formula, count)| {
             let range = self.range_um.ok_or("no wavelengths (a line LD)")?;
-            let mut coefficients = self.coefficients;
+            let mut coefficients = self.coefficients.unwrap_or_default();
             // What stands behind a formula's own coefficients is nought, and trailing noughts may be left out.
             coefficients.resize(count, 0.0);
             glass(self.name, file, formula, coefficients, range.map(|um| um * 1e3))
         });
-        Entry { name: self.name.to_owned(), medium, obsolete: self.obsolete }
+        Ok(Entry { name: self.name.to_owned(), medium, obsolete: self.obsolete })
     }
 }
 
@@ -66,26 +79,46 @@ pub(super) fn read(text: &str, file: &str) -> Result<Vec<Entry>> {
                 let name = words.next().ok_or_else(|| refuse(line, "NM with a name and the number of a formula"))?;
                 let number = words.next().and_then(|w| w.parse::<f64>().ok());
                 let number = number.ok_or_else(|| refuse(line, "NM with a name and the number of a formula"))?;
+                if number.fract() != 0.0 {
+                    let found = format!("glass `{name}` with a dispersion formula of number {number}");
+                    return Err(refuse(&found, "a whole number from 1 to 13"));
+                }
                 // Behind the formula: six digits, n_d, V_d, a flag, the status, of which 2 is a type that is no longer made.
                 let obsolete = words.nth(4).and_then(|w| w.parse::<f64>().ok()) == Some(2.0);
-                let next = Glass { name, formula: formula(number), coefficients: Vec::new(), range_um: None, obsolete };
-                entries.extend(open.replace(next).map(|g| g.entry(file)));
+                let formula = formula(number);
+                let next = Glass { line: i + 1, name, formula, coefficients: None, range_um: None, obsolete };
+                entries.extend(open.replace(next).map(|g| g.entry(file)).transpose()?);
             }
-            ("CD", Some(glass)) => glass.coefficients = numbers("coefficients")?,
+            ("CD", Some(glass)) => {
+                let coefficients = numbers("coefficients")?;
+                if coefficients.is_empty() {
+                    return Err(refuse(
+                        &format!("glass `{}` with a line CD without numbers", glass.name),
+                        COEFFICIENTS,
+                    ));
+                }
+                if glass.coefficients.replace(coefficients).is_some() {
+                    return Err(refuse(&format!("glass `{}` with a second line CD", glass.name), COEFFICIENTS));
+                }
+            }
             ("LD", Some(glass)) => {
                 let ends = numbers("shortest and longest wavelength in µm")?;
                 let [short, long, ..] = ends[..] else {
                     return Err(refuse(line, "shortest and longest wavelength in µm"));
                 };
-                glass.range_um = Some([short, long]);
+                if glass.range_um.replace([short, long]).is_some() {
+                    return Err(refuse(&format!("glass `{}` with a second line LD", glass.name), WAVELENGTHS));
+                }
             }
+            ("CD", None) => return Err(refuse("CD before the first glass", COEFFICIENTS)),
+            ("LD", None) => return Err(refuse("LD before the first glass", WAVELENGTHS)),
             // Before the first glass some files have a line of prose.
             (_, None) => {}
             _ if key.is_empty() || key.starts_with('!') || HARMLESS.contains(&key) => {}
             _ => return Err(refuse(line, "NM, CD, LD, or a comment (GC, CC, !), ED, TD, OD, IT, MD, BD")),
         }
     }
-    entries.extend(open.map(|g| g.entry(file)));
+    entries.extend(open.map(|g| g.entry(file)).transpose()?);
     if entries.is_empty() {
         return Err(Error::bad(file, "glasses", "none", "lines NM of an AGF catalogue"));
     }

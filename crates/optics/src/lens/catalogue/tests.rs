@@ -229,3 +229,34 @@ fn a_page_with_a_word_among_its_numbers_is_one_line() {
     let error = Glasses::default().add(&path).expect_err("a word").to_string();
     assert!(error.contains("DATA.data: `1x4`; finite numbers") && !error.contains('\n'), "{error}");
 }
+
+/// A glass of an AGF file without its one line of coefficients is refused by name and line: what was read was a medium of index 1, or another glass's
+/// numbers. Fewer coefficients than the formula has stay what they are.
+#[test]
+fn glasses_without_their_coefficients_are_refused() {
+    let folder = tempfile::tempdir().expect("made");
+    let add = |text: &str| {
+        let path = folder.path().join("a.agf");
+        std::fs::write(&path, text).expect("written");
+        let mut glasses = Glasses::default();
+        glasses.add(&path).map(|()| glasses).map_err(|e| e.to_string())
+    };
+    let (cd, ld) = ("CD 1 0.006\n", "LD 0.3 2.5\n");
+    for (text, line, why) in [
+        (format!("NM A 2\n{ld}"), 1, "glass `A` without coefficients; one line CD"),
+        (format!("NM A 2\n{ld}NM B 2\n{cd}{ld}"), 1, "glass `A` without coefficients; one line CD"),
+        (format!("NM A 2\n{cd}{ld}NM B 2\n{ld}"), 4, "glass `B` without coefficients; one line CD"),
+        (format!("NM A 2\nCD\n{ld}"), 2, "glass `A` with a line CD without numbers; one line CD"),
+        (format!("NM A 2\n{cd}{cd}{ld}"), 3, "glass `A` with a second line CD; one line CD"),
+        (format!("NM A 2\n{cd}{ld}LD 0.4 0.7\n"), 4, "glass `A` with a second line LD; one line LD"),
+        (format!("CC mine\n{cd}NM A 2\n{ld}"), 2, "CD before the first glass; one line CD"),
+        (format!("{ld}NM A 2\n{cd}"), 1, "LD before the first glass; one line LD"),
+        (format!("NM A 2.9\n{cd}{ld}"), 1, "glass `A` with a dispersion formula of number 2.9; a whole number"),
+    ] {
+        let error = add(&text).expect_err(&text);
+        assert!(error.contains(&format!("a.agf: line {line}: {why}")), "{text}{error}");
+    }
+    let glasses = add(&format!("NM A 2.0\n{cd}{ld}")).expect("reads");
+    let index = glasses.find("A", Naming::Exact).expect("a glass").index(500.0);
+    assert_abs(index, (1.0 + 0.25 / (0.25 - 0.006_f64)).sqrt(), 1e-12, "one term");
+}
