@@ -249,3 +249,17 @@ fn later_work_names_the_file_of_its_lens() {
     }
     assert_eq!(place.files(), ["red.toml", "tilted.toml"], "nothing is written");
 }
+
+/// An aperture a thousandth of what was meant: pictures are not black, with exit code 0.
+#[test]
+fn a_lens_without_light_on_the_axis_makes_no_picture() {
+    let place = Workplace::new();
+    let text = std::fs::read_to_string(root().join("models/lenses/cooke_triplet.toml")).expect("the lens");
+    let at = text.rfind("semi_diameter_mm = ").expect("a clear aperture");
+    let line = text[at..].lines().next().expect("a line");
+    place.write("tiny.toml", text.replacen(line, "semi_diameter_mm = 0.0079", text.matches(line).count()).into_bytes());
+    let frame = "--columns 24 --rows 24 --pitch-um 900";
+    let ran = place.run(&format!("render tiny.toml facades:3 -o t.npy {frame}"));
+    assert!(ran.code == 2 && ran.err.contains("tiny.toml: semi_diameter: no ray that was tried"), "{}", ran.err);
+    assert!(!place.path("t.npy").exists());
+}
