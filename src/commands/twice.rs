@@ -23,7 +23,7 @@ pub(crate) fn first_time<'a>(path: &Path, earlier: impl IntoIterator<Item = &'a 
 
 /// Whether two files hold the same bytes: most differ in length or at their beginning.
 fn same(one: &Path, other: &Path) -> io::Result<bool> {
-    let lengths = [std::fs::metadata(one)?, std::fs::metadata(other)?].map(|m| m.is_file().then(|| m.len()));
+    let lengths = [std::fs::metadata(one)?, std::fs::metadata(other)?].map(|m| m.is_file().then_some(m.len()));
     if lengths[0] != lengths[1] || lengths[0].is_none() {
         return Ok(false);
     }

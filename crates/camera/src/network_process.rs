@@ -189,7 +189,7 @@ pub(crate) fn serve(
     std::thread::scope(|scope| {
         let mut workers = Vec::new();
         for _ in 0..session.parallel_tiles() {
-            match std::thread::Builder::new().spawn_scoped(scope, &work) {
+            match std::thread::Builder::new().spawn_scoped(scope, work) {
                 Ok(worker) => workers.push(worker),
                 Err(reason) if workers.is_empty() => {
                     let error = of_input(threads::refused(&reason), &asked.file);
