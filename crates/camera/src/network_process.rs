@@ -161,10 +161,6 @@ pub(crate) fn serve(
         Err(why) => return unheld(out, why),
     };
     words(out, &Said::Ready(confinement))?;
-    // In the sandbox, which each thread has from the one that starts it.
-    if let Err(error) = threads::start_pool(0) {
-        return words(out, &Said::Opened(Err(of_input(error, &asked.file))));
-    }
     let mut model = Vec::new();
     input.take(asked.model_bytes).read_to_end(&mut model)?;
     let opened = prepared.open(&model, &asked.file);
@@ -191,10 +187,8 @@ pub(crate) fn serve(
         for _ in 0..session.parallel_tiles() {
             match std::thread::Builder::new().spawn_scoped(scope, work) {
                 Ok(worker) => workers.push(worker),
-                Err(reason) if workers.is_empty() => {
-                    let error = of_input(threads::refused(&reason), &asked.file);
-                    return words(&mut **lock(&out), &Said::Opened(Err(error)));
-                }
+                // Its limit of memory, mostly: whoever started it knows that one.
+                Err(reason) if workers.is_empty() => return Err(reason),
                 // Those that could be started are enough.
                 Err(_) => break,
             }
