@@ -85,22 +85,22 @@ def test_truths_have_no_aliases():
     lens, frame = iso.Lens("cooke_triplet"), iso.Frame(120, 80, 300.0)
     fine = np.zeros((3, 240, 360))
     fine[:, ::3, ::3] = 9.0
-    record = iso.render.record(lens, fine, frame, min_psnr_db=40)[1]
-    for truth in (iso.render(lens, fine, frame, min_psnr_db=40)[1], record.truth):
+    record = iso.render.record(lens, fine, frame, min_psnr_db=20)[1]
+    for truth in (iso.render(lens, fine, frame, min_psnr_db=20)[1], record.truth):
         middle = np.asarray(truth)[:, 20:-20, 30:-30]
         assert middle.mean() == pytest.approx(1, abs=0.02) and middle.max() < 5
     rows, columns = np.mgrid[:240, :360]
     smooth = np.broadcast_to(1 + 0.5 * np.cos(rows / 9) * np.sin(columns / 7), (3, 240, 360))
     picture, record = iso.render.record(lens, smooth, frame, min_psnr_db=40)
     bar = np.random.default_rng(1).random(picture.shape)
-    name, step = "surface[0].curvature", 1e-5
+    name, step = "surface[0].curvature", 1e-7
     found = record.vjp(np.zeros_like(bar), bar)[name]
 
     def loss(by):
         changed = lens.replace({name: lens.parameters[name] + by})
         return (iso.render.record(changed, smooth, plan=record.plan)[1].truth * bar).sum()
 
-    assert found == pytest.approx((loss(step) - loss(-step)) / (2 * step), rel=2e-2)
+    assert found == pytest.approx((loss(step) - loss(-step)) / (2 * step), rel=1e-3)
 
 
 def test_a_record_is_the_picture_and_a_region_a_part_of_it(photo):
