@@ -279,11 +279,10 @@ fn rounded(filter: ArrayView2<'_, f64>) -> (Array2<i16>, f32) {
     let rest = middle + off.round() - f64::from(steps[[half, half]]);
     if rest != 0.0 {
         let left = |at: &(usize, usize)| rest.signum() * (filter[*at] / step - f64::from(steps[*at]));
-        let mut others: Vec<(usize, usize)> =
-            filter.indexed_iter().map(|(at, _)| at).filter(|at| *at != (half, half)).collect();
-        others.sort_by(|a, b| left(b).total_cmp(&left(a)));
-        let movable: Vec<(usize, usize)> =
-            others.into_iter().filter(|at| f64::from(steps[*at]).abs() < STEPS).collect();
+        // (The middle one holds no more: it is no longer within the bound.)
+        let mut movable: Vec<(usize, usize)> = filter.indexed_iter().map(|(at, _)| at).collect();
+        movable.retain(|at| f64::from(steps[*at]).abs() < STEPS);
+        movable.sort_by(|a, b| left(b).total_cmp(&left(a)));
         for at in movable.into_iter().take(rest.abs() as usize) {
             steps[at] += rest.signum() as i16;
         }

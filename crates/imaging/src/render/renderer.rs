@@ -174,6 +174,12 @@ impl Renderer {
         }
     }
 
+    /// Whether the ideal picture is the middle of the source that the blur has: a sample a pixel, and no means of texels.
+    fn sees_truth(&self, scene: &Plane, depth: usize) -> bool {
+        let d = &self.plan.depths[depth];
+        d.samples * d.bin == 1 && self.texels(scene, depth) < 2
+    }
+
     /// Whole texels of a scene to a pixel.
     fn texels(&self, scene: &Plane, depth: usize) -> usize {
         let per_pixel = scene.texels_per_slope * self.optics.maps[depth].ratio(0.0) * self.plan.frame.pitch_mm;
@@ -260,7 +266,7 @@ impl Renderer {
                 Method::Cells { block } => block,
                 Method::Direct => around.rows.max(around.cols),
             };
-            let (cells, kept) = if d.samples * d.bin == 1 && self.texels(scene, depth) < 2 {
+            let (cells, kept) = if self.sees_truth(scene, depth) {
                 let planes = Array3::from_elem((channels.sources(), region.rows, region.cols), T::zero());
                 let keeping = Kept { source: &source, region, planes: Mutex::new(planes) };
                 let blurred = blur_recorded::<T>(&grid, &kernels, &keeping, around, block, dark);
@@ -322,7 +328,7 @@ impl Renderer {
         let Some(record) = &rendered.record else { return bar };
         let mut back = blur_vjp(record, to_pixels_vjp(blurred_bar.view(), region, d.bin).view());
         let around = cells(region, d.bin).grown(d.half_width);
-        if d.samples * d.bin == 1 && self.texels(scene, depth) < 2 {
+        if self.sees_truth(scene, depth) {
             // The ideal picture is the middle of the source.
             let (rows, cols) = (d.half_width..d.half_width + region.rows, d.half_width..d.half_width + region.cols);
             let mut middle = back.source.slice_mut(s![.., 0, rows, cols]);

@@ -268,11 +268,7 @@ class LensLayer(Placed, Numbers):
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Takes what `get_extra_state` gave. Raises ValueError where other numbers are trained, or the lens is another."""
-        if state["names"] != self._all_names:
-            raise ValueError(f"state_dict: {', '.join(state['names'])}; {', '.join(self._all_names)}, which are trained here")
-        planned, base = (Lens.from_toml(state[name], "state_dict") for name in ("planned", "lens"))
-        if list(planned.parameters) != list(self._core.base.parameters):
-            raise ValueError(f"state_dict: of the lens {planned.name!r}; one with the surfaces of {self._core.base.name!r}")
+        planned, base = (self._lens_of(state, name, self._core.base) for name in ("planned", "lens"))
         self._planned = torch.tensor(state["numbers"], dtype=torch.float64)
         self._tuned = state.get("tuned")
         if self._tuned:

@@ -47,14 +47,18 @@ class Numbers(nn.Module):
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Takes what `get_extra_state` gave. Raises ValueError where other numbers are trained, or the lens is another."""
-        if state["names"] != self._all_names:
-            raise ValueError(f"state_dict: {', '.join(state['names'])}; {', '.join(self._all_names)}, which are trained here")
-        lens = Lens.from_toml(state["lens"], "state_dict")
-        if list(lens.parameters) != list(self._lens.parameters):
-            raise ValueError(f"state_dict: of the lens {lens.name!r}; one with the surfaces of {self._lens.name!r}")
-        self._lens, self._passes = lens, state["passes"]
+        self._lens, self._passes = self._lens_of(state, "lens", self._lens), state["passes"]
         self._planned = torch.tensor(state["planned"], dtype=torch.float64)
         self._lay_out()
+
+    def _lens_of(self, state: dict[str, Any], name: str, own: Lens) -> Lens:
+        """A lens of a state, which is to train the same numbers of a lens with the same surfaces as ``own``."""
+        if state["names"] != self._all_names:
+            raise ValueError(f"state_dict: {', '.join(state['names'])}; {', '.join(self._all_names)}, which are trained here")
+        lens = Lens.from_toml(state[name], "state_dict")
+        if list(lens.parameters) != list(own.parameters):
+            raise ValueError(f"state_dict: of the lens {lens.name!r}; one with the surfaces of {own.name!r}")
+        return lens
 
     def _lay_out(self) -> None:
         """Lays out for the numbers of the last layout."""
