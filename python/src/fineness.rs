@@ -39,5 +39,5 @@ pub(crate) fn tuned(planned: &Planned, lens: isoplanat::Lens, scenes: &[(Plane, 
 pub(crate) fn by(planned: &Planned, lens: isoplanat::Lens, settings: Settings) -> Result<Planned> {
     let vergences: Vec<f64> = planned.plan.depths.iter().map(|d| d.vergence).collect();
     let renderer = Renderer::planned(&lens, &planned.frame.inner, &planned.density, &vergences, settings)?;
-    Ok(planned.laid_out(lens, renderer))
+    Ok(planned.laid_out(lens, &renderer))
 }

@@ -18,6 +18,7 @@ use crate::fineness;
 use crate::frame::Frame;
 use crate::lens::Lens;
 use crate::render::{light, standing};
+use crate::traced::Traced;
 use crate::work::work;
 
 /// A lens whose numbers move, and how patches of scenes are rendered through it.
@@ -41,6 +42,7 @@ pub(crate) struct Planned {
     pub(crate) generation: u64,
     /// The lens as it was then.
     pub(crate) at: isoplanat::Lens,
+    traced: Traced,
 }
 
 /// A patch before the lens, rendered.
@@ -58,7 +60,7 @@ enum Kept {
 #[pyclass(frozen, module = "isoplanat._isoplanat")]
 pub(crate) struct LayerRecord {
     planned: Arc<Planned>,
-    renderer: Renderer,
+    renderer: Arc<Renderer>,
     lens: isoplanat::Lens,
     kept: Kept,
     /// Light of the captures over what the truths and the lens's illumination give.
@@ -99,9 +101,17 @@ impl Planned {
     }
 
     /// The same for `lens`, laid out anew as `renderer` is.
-    pub(crate) fn laid_out(&self, lens: isoplanat::Lens, renderer: Renderer) -> Self {
-        let (plan, maps, generation) = (renderer.plan, renderer.optics.maps, self.generation + 1);
+    pub(crate) fn laid_out(&self, lens: isoplanat::Lens, renderer: &Renderer) -> Self {
+        let (plan, maps, generation) = (renderer.plan.clone(), renderer.optics.maps.clone(), self.generation + 1);
         Self { at: lens.clone(), lens, plan, maps, generation, ..self.clone() }
+    }
+
+    /// The same laid out for the lens with these numbers: how large its kernels are and where they stand, and where scenes lie before it.
+    fn replanned(&self, values: Vec<f64>) -> Result<Self> {
+        let lens = self.with(&values)?;
+        let renderer = Renderer::replanned(&lens, &self.plan)?;
+        let next = self.laid_out(lens.clone(), &renderer);
+        Ok(Self { traced: Traced::of(values, lens, renderer), ..next })
     }
 
     /// The same plan around `lens`, which opened or closed surfaces of it.
@@ -241,6 +251,7 @@ impl Layer {
                 frame,
                 illuminant,
                 generation: 0,
+                traced: Traced::default(),
             })
         })?;
         Ok(Self { inner: Arc::new(inner) })
@@ -296,12 +307,7 @@ impl Layer {
     /// The same for the lens with these numbers: how large its kernels are and where they stand, and where scenes lie before it.
     fn replanned(&self, py: Python<'_>, values: PyReadonlyArray1<'_, f64>) -> PyResult<Self> {
         let values = values.as_array().to_vec();
-        let inner = work(py, || {
-            let lens = self.inner.with(&values)?;
-            let renderer = Renderer::replanned(&lens, &self.inner.plan)?;
-            Ok(self.inner.laid_out(lens, renderer))
-        })?;
-        Ok(Self { inner: Arc::new(inner) })
+        Ok(work(py, || self.inner.replanned(values))?.into())
     }
 
     /// How finely it renders, as JSON.
@@ -477,8 +483,11 @@ impl Layer {
                 let place = format!("scenes, {place:?}");
                 return Err(Error::bad("", place, v.to_double().to_string(), "finite light"));
             }
-            let lens = planned.with(values)?;
-            let renderer = Renderer::new(&lens, &planned.plan)?;
+            let (lens, renderer) = planned.traced.at(values, || {
+                let lens = planned.with(values)?;
+                let renderer = Renderer::new(&lens, &planned.plan)?;
+                Ok((lens, renderer))
+            })?;
             let mut patches = planned.rendered(&renderer, batch, scenes);
             let light = light_of(&patches);
             Ok((stacked(&mut patches), light, renderer, lens, patches))

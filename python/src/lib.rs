@@ -23,6 +23,7 @@ mod rays;
 mod record;
 mod render;
 mod steps;
+mod traced;
 mod work;
 
 use pyo3::prelude::*;

@@ -236,7 +236,7 @@ impl Quadrature {
         let sums = chords.iter().map(|chord| {
             let weight = self.along(row.weight(table), chord);
             let open = self.intervals((table, row), &cutting, chord);
-            let light = open.iter().flat_map(gauss).map(|(y, w)| w * series(&weight, y).0).sum::<f64>();
+            let light = open.iter().flat_map(|o| weighed(&weight, gauss(o))).sum::<f64>();
             let known = row.known.chord(chord.x);
             let beyond = |o: &Open, side: usize| {
                 let farther = (o.ends[side] - known[side]).abs();
@@ -312,10 +312,24 @@ impl Quadrature {
 }
 
 /// Points and weights over an interval.
-fn gauss(open: &Open) -> impl Iterator<Item = (f64, f64)> + use<> {
+fn gauss(open: &Open) -> [(f64, f64); 2 * GAUSS.len()] {
     let [a, b] = open.ends;
     let (middle, half) = (0.5 * (a + b), 0.5 * (b - a));
-    GAUSS.into_iter().flat_map(move |(x, w)| [(middle - half * x, half * w), (middle + half * x, half * w)])
+    std::array::from_fn(|k| {
+        let (x, w) = GAUSS[k / 2];
+        (if k % 2 == 0 { middle - half * x } else { middle + half * x }, half * w)
+    })
+}
+
+/// A Chebyshev series at some points, times their weights.
+fn weighed<const N: usize>(c: &[f64], at: [(f64, f64); N]) -> [f64; N] {
+    let [mut b1, mut b2] = [[0.0; N]; 2];
+    for c in c[1..].iter().rev() {
+        for (k, (y, _)) in at.iter().enumerate() {
+            (b2[k], b1[k]) = (b1[k], c + 2.0 * y * b1[k] - b2[k]);
+        }
+    }
+    std::array::from_fn(|k| at[k].1 * (c[0] + at[k].0 * b1[k] - b2[k]))
 }
 
 /// A Chebyshev series and its derivative, by Clenshaw's recurrence.

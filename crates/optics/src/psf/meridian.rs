@@ -158,7 +158,7 @@ impl Dense<'_> {
     fn displacement(&self, row: &Row) -> [Vec<f64>; 2] {
         let Self { table, map, radius_mm, .. } = *self;
         let nodes = table.nodes(row.part);
-        let [even, odd] = &nodes.coefficients;
+        let [even, odd] = nodes.coefficients();
         let (mut x, mut y) = self.slopes(&nodes, row);
         for (x, y) in x.iter_mut().zip(&mut y) {
             let ([px, py], _) = map.point([*x, *y], radius_mm);
@@ -169,7 +169,7 @@ impl Dense<'_> {
 
     /// Object slopes at the nodes.
     fn slopes(&self, nodes: &StopNodes, row: &Row) -> (Vec<f64>, Vec<f64>) {
-        let [even, odd] = &nodes.at_nodes;
+        let [even, odd] = nodes.at_nodes();
         let [sx, sy] = row.slope(self.table, self.map.vergence);
         (odd.at(Of::Value, &sx), even.at(Of::Value, &sy))
     }
@@ -220,7 +220,7 @@ impl Dense<'_> {
         }
         // Displacements: to coefficients, to nodes, through the map, to slopes.
         let nodes = table.nodes(row.part);
-        let [from_even, from_odd] = &nodes.coefficients;
+        let [from_even, from_odd] = nodes.coefficients();
         let mut c_bar = [vec![0.0; from_odd.nrows()], vec![0.0; from_even.nrows()]];
         odd.pull(Of::Value, &bar.x, &mut c_bar[0]);
         even.pull(Of::Value, &bar.y, &mut c_bar[1]);
@@ -231,7 +231,7 @@ impl Dense<'_> {
             let radius = map.point(u, radius_mm).1;
             [x_bar[j], y_bar[j]] = map.point_vjp(u, radius, [-x_bar[j], -y_bar[j]], map_bar);
         }
-        let [at_even, at_odd] = &nodes.at_nodes;
+        let [at_even, at_odd] = nodes.at_nodes();
         let mut s_bar = [vec![0.0; from_odd.nrows()], vec![0.0; from_even.nrows()]];
         at_odd.pull(Of::Value, &x_bar, &mut s_bar[0]);
         at_even.pull(Of::Value, &y_bar, &mut s_bar[1]);

@@ -3,6 +3,7 @@
 //! All of it on the unit disk. The sensor point lies on +y, so the half `x > 0` stands for both.
 
 use std::f64::consts::{FRAC_PI_2, PI};
+use std::sync::OnceLock;
 
 use glam::DVec2;
 use ndarray::Array2;
@@ -135,26 +136,34 @@ impl Part {
     }
 }
 
-/// Nodes of the stop for polynomials of a degree, and the matrices between them.
+/// Nodes of the stop for polynomials of a degree, and the matrices between them, which are made when they are first asked for: of most parts that rays are tried through, none is.
 #[derive(Clone, Debug)]
 pub(crate) struct StopNodes {
     /// Degree of the polynomials.
     pub degree: usize,
     /// The nodes, `x ≥ 0`.
     pub nodes: Vec<DVec2>,
-    /// From node values to coefficients, `[term, node]`, even and odd in x.
-    pub coefficients: [Array2<f64>; 2],
-    /// Values and derivatives at the nodes, even and odd in x.
-    pub at_nodes: [Evaluation; 2],
+    coefficients: OnceLock<[Array2<f64>; 2]>,
+    at_nodes: OnceLock<[Evaluation; 2]>,
 }
 
 impl StopNodes {
     /// For polynomials of `degree` through [`Part::nodes`].
     pub(crate) fn new(degree: usize, part: Part) -> Self {
         let nodes = part.nodes(degree);
-        let coefficients = [Parity::Even, Parity::Odd].map(|parity| from_nodes(&nodes, degree, parity));
-        let at_nodes = [Parity::Even, Parity::Odd].map(|parity| Evaluation::new(&nodes, degree, parity));
-        Self { degree, nodes, coefficients, at_nodes }
+        Self { degree, nodes, coefficients: OnceLock::new(), at_nodes: OnceLock::new() }
+    }
+
+    /// From node values to coefficients, `[term, node]`, even and odd in x.
+    pub(crate) fn coefficients(&self) -> &[Array2<f64>; 2] {
+        let made = || [Parity::Even, Parity::Odd].map(|parity| from_nodes(&self.nodes, self.degree, parity));
+        self.coefficients.get_or_init(made)
+    }
+
+    /// Values and derivatives at the nodes, even and odd in x.
+    pub(crate) fn at_nodes(&self) -> &[Evaluation; 2] {
+        let made = || [Parity::Even, Parity::Odd].map(|parity| Evaluation::new(&self.nodes, self.degree, parity));
+        self.at_nodes.get_or_init(made)
     }
 
     /// Number of even and odd terms.
@@ -238,10 +247,10 @@ mod tests {
         for part in parts {
             let stop = StopNodes::new(9, part);
             let c: Vec<f64> = (0..StopNodes::terms(9)[0]).map(|_| rng.f64() - 0.5).collect();
-            let values = stop.at_nodes[0].at(super::super::fit::Of::Value, &c);
-            let back = super::super::fit::apply(&stop.coefficients[0], &values);
+            let values = stop.at_nodes()[0].at(super::super::fit::Of::Value, &c);
+            let back = super::super::fit::apply(&stop.coefficients()[0], &values);
             // Of small parts other polynomials have nearly the same values there: values count; 2e-9 of a fifth of the stop.
-            let again = stop.at_nodes[0].at(super::super::fit::Of::Value, &back);
+            let again = stop.at_nodes()[0].at(super::super::fit::Of::Value, &back);
             for (a, b) in again.iter().zip(&values) {
                 assert_rel(*a, *b, 1e-8, 1.0, "values");
             }

@@ -278,7 +278,7 @@ impl Beam {
     /// The polynomials; `clips` are surfaces of the lens.
     pub(super) fn row(&self, view: &SensorView, bases: &Bases, layout: &Layout, clips: &[usize]) -> Row {
         let basis = &*bases.of(self.part);
-        let [even, odd] = &basis.coefficients;
+        let [even, odd] = basis.coefficients();
         let mut out = Vec::with_capacity(layout.len());
         out.extend(apply(odd, &self.values(|n| n.ray.entrance.x)));
         out.extend(apply(even, &self.values(|n| n.ray.entrance.y)));
@@ -302,10 +302,10 @@ impl Beam {
 
     /// `∂L/∂x, ∂L/∂y` and `∂M/∂x, ∂M/∂y` over the unit stop, at the nodes.
     fn cosine_slopes(&self, basis: &StopNodes) -> [[Vec<f64>; 2]; 2] {
-        let [even, odd] = &basis.coefficients;
+        let [even, odd] = basis.coefficients();
         let l = apply(odd, &self.values(|n| n.ray.cosines.x));
         let m = apply(even, &self.values(|n| n.ray.cosines.y));
-        let [at_even, at_odd] = &basis.at_nodes;
+        let [at_even, at_odd] = basis.at_nodes();
         [[at_odd.at(Of::X, &l), at_odd.at(Of::Y, &l)], [at_even.at(Of::X, &m), at_even.at(Of::Y, &m)]]
     }
 
@@ -323,7 +323,7 @@ impl Beam {
             return;
         }
         let basis = &*bases.of(self.part);
-        let [even, odd] = &basis.coefficients;
+        let [even, odd] = basis.coefficients();
         let [ex, ey] = layout.entrance();
         let [gx, gy] = layout.slope();
         let entrance = [apply_transposed(odd, &bar[ex]), apply_transposed(even, &bar[ey])];
@@ -381,8 +381,8 @@ impl Beam {
         let index = view.image_index();
         let scaled: Vec<f64> = bar.iter().map(|v| v * index * index).collect();
         let times = |f: &[f64], sign: f64| scaled.iter().zip(f).map(|(s, v)| sign * s * v).collect::<Vec<f64>>();
-        let [at_even, at_odd] = &basis.at_nodes;
-        let [even, odd] = &basis.coefficients;
+        let [at_even, at_odd] = basis.at_nodes();
+        let [even, odd] = basis.coefficients();
         let (mut l, mut m) = (vec![0.0; odd.nrows()], vec![0.0; even.nrows()]);
         at_odd.pull(Of::X, &times(&d, 1.0), &mut l);
         at_odd.pull(Of::Y, &times(&c, -1.0), &mut l);
@@ -412,7 +412,7 @@ pub(in crate::psf) fn near_apertures(views: &[&SensorView], beams: &[Vec<Arc<Bea
 
 /// Largest distance of the slopes at the nodes from their polynomial, relative to their range.
 pub(super) fn residual(beam: &Beam, row: &Row, bases: &Bases, layout: &Layout) -> f64 {
-    let fitted = bases.of(beam.part).at_nodes[0].at(Of::Value, &row.coefficients[layout.slope()[1].clone()]);
+    let fitted = bases.of(beam.part).at_nodes()[0].at(Of::Value, &row.coefficients[layout.slope()[1].clone()]);
     let values = beam.values(|n| n.ray.slope.y);
     let (low, high) = values.iter().fold((f64::MAX, f64::MIN), |(a, b), v| (a.min(*v), b.max(*v)));
     let worst = fitted.iter().zip(&values).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
@@ -423,8 +423,8 @@ pub(super) fn residual(beam: &Beam, row: &Row, bases: &Bases, layout: &Layout) -
 /// none does.
 pub(super) fn untold(beam: &Beam, view: &SensorView, bases: &Bases, vergence: f64) -> f64 {
     let basis = &*bases.of(beam.part);
-    let [even, odd] = &basis.coefficients;
-    let [at_even, at_odd] = &basis.at_nodes;
+    let [even, odd] = basis.coefficients();
+    let [at_even, at_odd] = basis.at_nodes();
     let across = beam.values(|n| n.ray.slope.x - vergence * n.ray.entrance.x);
     let along = beam.values(|n| n.ray.slope.y - vergence * n.ray.entrance.y);
     let [x, y] = [at_odd.at(Of::Value, &apply(odd, &across)), at_even.at(Of::Value, &apply(even, &along))];

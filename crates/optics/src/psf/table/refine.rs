@@ -226,7 +226,7 @@ fn difference(table: &Table, truth: &Table, vergence: f64, points: &StopPoints) 
             let (here, there) = (table.row(l, &table.taps(radii[k])), &truth.rows[k][l]);
             // Polynomials stand for rays where all that they come from got through.
             let basis = table.bases.of(here.part.common(there.part));
-            let values = |of: usize, c: &[f64]| basis.at_nodes[of].at(Of::Value, c);
+            let values = |of: usize, c: &[f64]| basis.at_nodes()[of].at(Of::Value, c);
             let (a, b) = (here.slope(table, vergence), there.slope(truth, vergence));
             let (mut square, mut count) = (0.0, 0.0);
             for (axis, of) in [(0, 1), (1, 0)] {
