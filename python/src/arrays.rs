@@ -143,6 +143,10 @@ impl<'a, 'py, T: Item + FromPyObjectOwned<'py>> FromPyObject<'a, 'py> for Severa
         {
             return Ok(Self(list));
         }
+        // Tensors, and arrays of other numbers than a list may hold.
+        if let Ok(listed) = value.call_method0("tolist") {
+            return listed.as_borrowed().extract();
+        }
         let one =
             value.extract::<T>().map_err(|_| PyTypeError::new_err(format!("{}; {}", kind(&value), T::ALLOWED)))?;
         Ok(Self(vec![one]))

@@ -12,10 +12,11 @@ use pyo3::types::PyDict;
 use serde_json::json;
 
 use crate::arrays::Several;
+use crate::bending::Bending;
 use crate::errors::{raised, refused};
 use crate::frame::Frame;
 use crate::lens::Lens;
-use crate::render::{bending, light, standing};
+use crate::render::{light, standing};
 use crate::work::{here, work};
 
 /// What all lenses are looked at with.
@@ -101,7 +102,7 @@ pub(crate) fn make_dataset(
     flat_field: bool,
     illuminant: Option<&str>,
     min_psnr_db: f64,
-    diffraction: Option<&str>,
+    diffraction: Option<Bending>,
     judge: f64,
     judge_samples: usize,
     form: &str,
@@ -132,7 +133,7 @@ pub(crate) fn make_dataset(
         flat_field,
         illuminant: light(illuminant)?,
         min_psnr_db,
-        diffraction: bending(diffraction.or((judge > 0.0).then_some("off")))?,
+        diffraction: Bending::of_pictures(diffraction.or_else(|| (judge > 0.0).then(Bending::off)).as_ref())?,
         judging: Judging { share: judge, samples: judge_samples },
         seed,
         form: self::form(form)?,

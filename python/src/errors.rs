@@ -30,8 +30,11 @@ pub(crate) fn raised(error: Error) -> PyErr {
     }
 }
 
+/// The flag of a command line that is a dict in Python.
+const GLASS_FOR: &str = "--glass-for ";
+
 /// A message without the flags of a command line that there is not.
-fn in_python(text: &str) -> String {
+pub(crate) fn in_python(text: &str) -> String {
     let words = [
         (" (--memory-gib)", ""),
         ("--force", "force=True"),
@@ -39,6 +42,16 @@ fn in_python(text: &str) -> String {
         ("--glass FILE", "glasses=[FILE]"),
     ];
     let text = words.iter().fold(text.to_owned(), |text, (flag, words)| text.replace(flag, words));
+    // `--glass-for A=B` is an entry of a dict.
+    let mut parts = text.split(GLASS_FOR);
+    let mut text = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        let end = part.find([' ', ';', ',', ')']).unwrap_or(part.len());
+        match part[..end].split_once('=') {
+            Some((name, glass)) => text.push_str(&format!("glass_for={{\"{name}\": \"{glass}\"}}{}", &part[end..])),
+            None => text.push_str(&format!("glass_for {part}")),
+        }
+    }
     // Other flags have the arguments' names: `--texels-per-pixel` is texels_per_pixel.
     let mut parts = text.split("--");
     let mut plain = parts.next().unwrap_or_default().to_owned();

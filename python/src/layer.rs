@@ -13,6 +13,7 @@ use pyo3::prelude::*;
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 
 use crate::arrays::{Floats, Number, Several, Whole, given, wrong_shape};
+use crate::bending::Bending;
 use crate::errors::{refused, vergence};
 use crate::fineness;
 use crate::frame::Frame;
@@ -220,9 +221,9 @@ impl Layer {
         trainable: Several<String>,
         illuminant: Option<String>,
         settings: Option<String>,
-        diffraction: Option<&str>,
+        diffraction: Option<Bending>,
     ) -> PyResult<Self> {
-        let model = crate::render::model(diffraction)?;
+        let model = Bending::of_layers(diffraction.as_ref())?;
         let lens = lens.get().inner.clone();
         let frame = frame.map(|f| f.get().clone());
         let distances = distances_mm.map_or_else(|| vec![lens.object_vergence.recip()], |d| d.0);

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use isoplanat::atomic::{Target, check_target, write_bytes};
 use isoplanat::interchange::{Form, lens_or_file, text_of};
+use isoplanat::lens::f_number::stopped_to;
 use isoplanat::lens::prescription;
 use isoplanat::report::drawing::lens_svg;
 use isoplanat::report::lens::analysis::Analysis;
@@ -19,7 +20,8 @@ use pyo3::types::PyDict;
 
 use crate::analyses::Look;
 use crate::arrays::Several;
-use crate::errors::raised;
+use crate::bending::Bending;
+use crate::errors::{in_python, raised};
 use crate::frame::Frame;
 use crate::optimized::Optimized;
 use crate::psf::{Asked, Psf};
@@ -111,6 +113,7 @@ impl Lens {
             all.all_taken().map_err(|e| e.of_file("glass_for"))?;
             let mut notes = read.notes;
             notes.extend(overlapping_rims(&read.lens, &file.display().to_string()));
+            let notes = notes.iter().map(|note| in_python(note)).collect();
             Ok(Self { inner: Arc::new(read.lens), notes })
         })
     }
@@ -199,11 +202,16 @@ impl Lens {
         Ok(all.unbind())
     }
 
-    /// This lens with other numbers, by the names of `parameters`, and with its object elsewhere.
+    /// This lens with other numbers, by the names of `parameters`, with its object elsewhere, and with its stop closed to an f-number (focal length over entrance pupil).
     ///
-    /// Raises ValueError for a name that is none and for numbers that are no lens.
-    #[pyo3(signature = (numbers = None, *, distance_mm = None))]
-    fn replace(&self, numbers: Option<&Bound<'_, PyDict>>, distance_mm: Option<f64>) -> PyResult<Self> {
+    /// Raises ValueError for a name that is none, for numbers that are no lens, and for a stop larger than its surface is clear.
+    #[pyo3(signature = (numbers = None, *, distance_mm = None, f_number = None))]
+    fn replace(
+        &self,
+        numbers: Option<&Bound<'_, PyDict>>,
+        distance_mm: Option<f64>,
+        f_number: Option<f64>,
+    ) -> PyResult<Self> {
         let lens = at(&self.inner, distance_mm)?;
         let mut wanted = Vec::new();
         for (name, value) in numbers.into_iter().flatten() {
@@ -234,7 +242,11 @@ impl Lens {
                 }
             }
         };
-        Ok(here(|| lens.changed(change))?.into())
+        let changed = here(|| lens.changed(change))?;
+        Ok(match f_number {
+            Some(number) => here(|| stopped_to(&changed, number).map_err(|e| e.of_file("f_number")))?.into(),
+            None => changed.into(),
+        })
     }
 
     /// Writes it, by the ending of `file`: .toml, .zmx (Zemax OpticStudio), .seq (CODE V). Returns a line on each thing that the form cannot say and that
@@ -329,11 +341,11 @@ impl Lens {
     /// like : Psf, optional
     ///     Another lens's, usually this one before it was changed: its places on the sensor, distances, channels and window are taken over, and nothing
     ///     else may be given. What `Psf.vjp` differentiates.
-    /// diffraction : bool
+    /// diffraction : bool, or "on" or "off"
     ///     Kernels by diffraction (scalar waves) in place of rays.
     #[expect(clippy::too_many_arguments, reason = "the keywords of a call")]
     #[pyo3(signature = (fields_deg = None, distances_mm = None, pitch_um = None, size = None, *, fields = None, wavelengths_nm = None,
-        rays = None, dtype = None, like = None, diffraction = false))]
+        rays = None, dtype = None, like = None, diffraction = None))]
     fn psf(
         &self,
         py: Python<'_>,
@@ -346,10 +358,11 @@ impl Lens {
         rays: Option<usize>,
         dtype: Option<&Bound<'_, PyAny>>,
         like: Option<&Bound<'_, Psf>>,
-        diffraction: bool,
+        diffraction: Option<Bending>,
     ) -> PyResult<Psf> {
         let [fields_deg, distances_mm, wavelengths_nm] =
             [fields_deg, distances_mm, wavelengths_nm].map(|list| list.map(|l| l.0));
+        let diffraction = Bending::of_kernels(diffraction.as_ref())?;
         let asked = Asked { fields_deg, distances_mm, pitch_um, size, fields, wavelengths_nm, rays, diffraction };
         crate::psf::compute(py, &self.inner, asked, dtype, like)
     }
@@ -379,13 +392,21 @@ impl Lens {
     ///     Sensor calibration whose colours these are; the generic sensor where left out.
     /// illuminant : str
     ///     As of `render`.
-    /// diffraction : bool
+    /// diffraction : bool, or "on" or "off"
     ///     Kernels by diffraction (scalar waves) in place of rays.
+    ///
+    /// Returns
+    /// -------
+    /// dict
+    ///     heights: `psf`, `illumination` (white), `illumination_rgb` [K, 3], `distortion`, `height_mm` [K] on the sensor, `outside` [K, 3], the light beyond the kernels.
+    ///     grid: `psf`, `illumination` [R, C, 3], `distortion`, `height_mm` [R, C], `outside` [R, C, 3], `row_px` [R], `col_px` [C]. filters: `filters`, `multipliers`,
+    ///     `row_px`, `col_px`, `distortion`, `height_mm` [K], `outside` [1, 3, K]. All: `pitch_mm`, `distance_mm`, `frame_px` (rows, columns), `axis_px`, `diffraction`,
+    ///     `schema`, and `about`, a text.
     ///
     /// Kernels are for convolution: turn them by 180° where a framework correlates.
     #[expect(clippy::too_many_arguments, reason = "the keywords of a call")]
     #[pyo3(signature = (form, frame = None, *, distance_mm = None, heights = None, grid = None, node_error = None, size = None, rays = None,
-        sensor = None, illuminant = None, diffraction = false))]
+        sensor = None, illuminant = None, diffraction = None))]
     fn psf_map(
         &self,
         py: Python<'_>,
@@ -399,7 +420,7 @@ impl Lens {
         rays: Option<usize>,
         sensor: Option<PathBuf>,
         illuminant: Option<&str>,
-        diffraction: bool,
+        diffraction: Option<Bending>,
     ) -> PyResult<Py<PyDict>> {
         let frame = frame.map(|f| f.get().clone());
         let asked = psf_map::Asked {
@@ -413,7 +434,7 @@ impl Lens {
             rays,
             sensor,
             illuminant,
-            diffraction,
+            diffraction: Bending::of_kernels(diffraction.as_ref())?,
         };
         psf_map::compute(py, &self.inner, asked)
     }
@@ -426,33 +447,35 @@ impl Lens {
 
     /// Spots by field: `fields` (rms, radii, centroid, best focus; radii by diffraction; mm; Strehl ratio), `plots`, and arrays `rays` [field, wavelength, ray, 5] (x, y in mm, slopes,
     /// weight), `wavelength_nm`, `weight`, `field_angle_deg`.
-    #[pyo3(signature = (*, distance_mm = None, rays = 1600, fields_deg = Vec::new(), max_angle_deg = None))]
+    #[pyo3(signature = (*, distance_mm = None, rays = 1600, fields_deg = None, max_angle_deg = None))]
     fn spot(
         &self,
         py: Python<'_>,
         distance_mm: Option<f64>,
         rays: usize,
-        fields_deg: Vec<f64>,
+        fields_deg: Option<Several<f64>>,
         max_angle_deg: Option<f64>,
     ) -> PyResult<Py<PyAny>> {
+        let fields_deg = fields_deg.map_or_else(Vec::new, |all| all.0);
         let look = Look { distance_mm, rays, fields_deg, max_angle_deg, ..Look::default() };
         crate::analyses::analysis(py, &self.inner, Analysis::Spot, look)
     }
 
     /// Modulation transfer by rays and by diffraction: `fields`, `plots`, and arrays `mtf`, `mtf_diffraction` [shift, field, frequency, direction],
     /// `shift_mm`, `cycles_per_mm`, `field_angle_deg`. Directions: tangential, sagittal.
-    #[pyo3(signature = (*, distance_mm = None, rays = 1600, fields_deg = Vec::new(), max_angle_deg = None, max_cycles_per_mm = None, shift_mm = None))]
+    #[pyo3(signature = (*, distance_mm = None, rays = 1600, fields_deg = None, max_angle_deg = None, max_cycles_per_mm = None, shift_mm = None))]
     #[expect(clippy::too_many_arguments, reason = "each is a keyword of its own")]
     fn mtf(
         &self,
         py: Python<'_>,
         distance_mm: Option<f64>,
         rays: usize,
-        fields_deg: Vec<f64>,
+        fields_deg: Option<Several<f64>>,
         max_angle_deg: Option<f64>,
         max_cycles_per_mm: Option<f64>,
         shift_mm: Option<f64>,
     ) -> PyResult<Py<PyAny>> {
+        let fields_deg = fields_deg.map_or_else(Vec::new, |all| all.0);
         let look = Look { distance_mm, rays, fields_deg, max_angle_deg, max_cycles_per_mm, shift_mm };
         crate::analyses::analysis(py, &self.inner, Analysis::Mtf, look)
     }

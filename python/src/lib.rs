@@ -1,13 +1,14 @@
 //! The Python package `isoplanat`: lenses, rays, point spread functions and pictures as NumPy arrays.
 //!
 //! A thin crate over `isoplanat` without its default features. `work.rs` says where work runs (a pool of this process, interpreter free, Ctrl-C
-//! looked for); `errors.rs` makes exceptions of the library's errors, `arrays.rs` arrays of what Python gives. Then one file a class:
+//! looked for); `errors.rs` makes exceptions of the library's errors, `arrays.rs` arrays and `bending.rs` the model of diffraction of what Python gives. Then one file a class:
 //! `lens.rs` (with `optimized.rs`, `analyses.rs`, `rays.rs`, `psf.rs`, `psf_map.rs` for what its methods give), `frame.rs`, `render.rs` (with `record.rs`),
-//! `capture.rs`, `dataset.rs`, `layer.rs` and `steps.rs` (which `package/isoplanat/torch` and `jax.py` wrap), and `pictures.rs` for files and generated scenes. The docstrings that users read stand here and in
+//! `capture.rs`, `dataset.rs`, `layer.rs` (with `traced.rs`) and `steps.rs` (which `package/isoplanat/torch` and `jax.py` wrap), and `pictures.rs` for files and generated scenes. The docstrings that users read stand here and in
 //! `package/isoplanat/_isoplanat.pyi`, whose signatures are compared with these.
 
 mod analyses;
 mod arrays;
+mod bending;
 mod capture;
 mod dataset;
 mod errors;
@@ -49,7 +50,7 @@ mod _isoplanat {
     #[pymodule_export]
     use crate::pictures::{read_picture, scene, write_picture};
     #[pymodule_export]
-    use crate::psf::Psf;
+    use crate::psf::{Psf, psf_again};
     #[pymodule_export]
     use crate::rays::Rays;
     #[pymodule_export]

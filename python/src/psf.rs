@@ -25,6 +25,7 @@ const LARGEST: usize = 2047;
 const RAYS: usize = 16_384;
 
 /// What was asked for.
+#[derive(Clone)]
 pub(crate) struct Asked {
     pub(crate) fields_deg: Option<Vec<f64>>,
     pub(crate) distances_mm: Option<Vec<f64>>,
@@ -36,7 +37,43 @@ pub(crate) struct Asked {
     pub(crate) diffraction: bool,
 }
 
+/// What a [`Psf`] is made of once more: the lens that it was placed by, what was asked for, the lens it is of where that is another, its precision.
+type Pickled<'py> = (crate::lens::Lens, Bound<'py, PyDict>, Option<crate::lens::Lens>, &'static str);
+
+/// A `Psf` that was pickled.
+#[pyfunction]
+pub(crate) fn psf_again<'py>(
+    first: &Bound<'py, PyAny>,
+    keywords: &Bound<'py, PyDict>,
+    lens: Option<&Bound<'py, PyAny>>,
+    dtype: &str,
+) -> PyResult<Bound<'py, PyAny>> {
+    keywords.set_item("dtype", dtype)?;
+    let placed = first.call_method("psf", (), Some(keywords))?;
+    let Some(lens) = lens else { return Ok(placed) };
+    let like = PyDict::new(first.py());
+    like.set_item("like", placed)?;
+    lens.call_method("psf", (), Some(&like))
+}
+
 impl Asked {
+    /// As arguments of `Lens.psf`.
+    fn keywords<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let all = PyDict::new(py);
+        let Self { fields_deg, distances_mm, pitch_um, size, fields, wavelengths_nm, rays, diffraction } = self;
+        for (name, list) in
+            [("fields_deg", fields_deg), ("distances_mm", distances_mm), ("wavelengths_nm", wavelengths_nm)]
+        {
+            all.set_item(name, list)?;
+        }
+        for (name, count) in [("size", size), ("fields", fields), ("rays", rays)] {
+            all.set_item(name, count)?;
+        }
+        all.set_item("pitch_um", pitch_um)?;
+        all.set_item("diffraction", diffraction)?;
+        Ok(all)
+    }
+
     fn anything(&self) -> bool {
         let lists = [&self.fields_deg, &self.distances_mm, &self.wavelengths_nm];
         let counts = [&self.size, &self.fields, &self.rays];
@@ -144,6 +181,14 @@ pub(crate) struct Psf {
     plan: KernelPlan,
     lens: Arc<Lens>,
     double: bool,
+    /// What the plan was made of.
+    first: Arc<First>,
+}
+
+/// The lens that places and windows are for, and what was asked for.
+struct First {
+    lens: Arc<Lens>,
+    asked: Asked,
 }
 
 /// All arrays of a [`Psf`].
@@ -195,7 +240,7 @@ impl<T: Number> Made<T> {
         Ok(Self { kernels, outside, light, centroid_um, places })
     }
 
-    fn given(self, py: Python<'_>, plan: KernelPlan, lens: Arc<Lens>, double: bool) -> Psf {
+    fn given(self, py: Python<'_>, plan: KernelPlan, lens: Arc<Lens>, double: bool, first: Arc<First>) -> Psf {
         let [radius, angle, slope] = self.places.map(|a| given(py, a));
         Psf {
             kernels: given(py, self.kernels),
@@ -208,6 +253,7 @@ impl<T: Number> Made<T> {
             plan,
             lens,
             double,
+            first,
         }
     }
 }
@@ -215,6 +261,12 @@ impl<T: Number> Made<T> {
 /// Whether an asked precision is the double one.
 fn is_double(dtype: &Bound<'_, PyAny>) -> PyResult<bool> {
     let refuse = || PyTypeError::new_err(format!("dtype: {dtype}; \"float32\" or \"float64\""));
+    // PyTorch's are called so.
+    match &*dtype.str()?.to_string_lossy() {
+        "torch.float32" => return Ok(false),
+        "torch.float64" => return Ok(true),
+        _ => {}
+    }
     let found = dtype.py().import("numpy")?.call_method1("dtype", (dtype,)).map_err(|_| refuse())?;
     match found.getattr("name")?.extract::<String>()?.as_str() {
         "float32" => Ok(false),
@@ -231,22 +283,24 @@ pub(crate) fn compute(
     like: Option<&Bound<'_, Psf>>,
 ) -> PyResult<Psf> {
     let double = dtype.map(is_double).transpose()?;
-    let (plan, double) = if let Some(like) = like {
+    let (plan, double, first) = if let Some(like) = like {
         if asked.anything() {
             return Err(refused("like", "given beside what it decides", "it alone"));
         }
         let like = like.get();
-        (work(py, || like.plan.again(lens))?, double.unwrap_or(like.double))
+        (work(py, || like.plan.again(lens))?, double.unwrap_or(like.double), Arc::clone(&like.first))
     } else {
+        let first = Arc::new(First { lens: Arc::clone(lens), asked: asked.clone() });
         let (request, quadrature, angles) = asked.request(lens)?;
-        (work(py, || KernelPlan::new(lens, &request, quadrature, angles.as_deref()))?, double.unwrap_or(false))
+        let plan = work(py, || KernelPlan::new(lens, &request, quadrature, angles.as_deref()))?;
+        (plan, double.unwrap_or(false), first)
     };
     if double {
         let made = work(py, || Made::<f64>::of(&plan))?;
-        Ok(made.given(py, plan, lens.clone(), true))
+        Ok(made.given(py, plan, lens.clone(), true, first))
     } else {
         let made = work(py, || Made::<f32>::of(&plan))?;
-        Ok(made.given(py, plan, lens.clone(), false))
+        Ok(made.given(py, plan, lens.clone(), false, first))
     }
 }
 
@@ -315,6 +369,23 @@ impl Psf {
         found.set_item("strehl", given(py, strehl))?;
         found.set_item("radius_um", given(py, radius_um))?;
         Ok(Some(found.unbind()))
+    }
+
+    /// Of its lenses and what was asked for.
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Pickled<'py>)> {
+        let First { lens: first, asked } = &*self.first;
+        let dtype = if self.double { "float64" } else { "float32" };
+        let lens = (!Arc::ptr_eq(first, &self.lens)).then(|| crate::lens::Lens::from((*self.lens).clone()));
+        let made = py.import("isoplanat._isoplanat")?.getattr("psf_again")?;
+        Ok((made, (crate::lens::Lens::from((**first).clone()), asked.keywords(py)?, lens, dtype)))
+    }
+
+    fn __copy__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    fn __deepcopy__(slf: Py<Self>, _memo: &Bound<'_, PyAny>) -> Py<Self> {
+        slf
     }
 
     fn __repr__(&self, py: Python<'_>) -> PyResult<String> {

@@ -9,15 +9,13 @@ use isoplanat::imaging::sensor::illuminant::Illuminant;
 use isoplanat::lens::paraxial::require_real_image;
 use isoplanat::lens::{Prescription, SensorRaster};
 use isoplanat::math::memory::Limit;
-use isoplanat::psf::Model;
-use isoplanat::{
-    Diffraction, Error, PlanOptions, Plane, Region, Renderer, Request, Result, Sensor, SpectralDensity, plan,
-};
+use isoplanat::{Error, PlanOptions, Plane, Region, Renderer, Request, Result, Sensor, SpectralDensity, plan};
 use ndarray::Array3;
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 
 use crate::arrays::{Floats, Number, Whole, given};
+use crate::bending::Bending;
 use crate::errors::{raised, refused, vergence};
 use crate::frame::Frame;
 use crate::lens::Lens;
@@ -146,7 +144,7 @@ pub(crate) struct Asked<'a, 'py> {
     pub(crate) distance_mm: Option<f64>,
     pub(crate) min_psnr_db: Option<f64>,
     pub(crate) texels_per_pixel: Option<f64>,
-    pub(crate) diffraction: Option<&'a str>,
+    pub(crate) diffraction: Option<Bending>,
     pub(crate) illuminant: Option<&'a str>,
     pub(crate) plan: Option<&'a Bound<'py, Plan>>,
 }
@@ -155,20 +153,6 @@ pub(crate) struct Asked<'a, 'py> {
 pub(crate) fn light(name: Option<&str>) -> PyResult<Illuminant> {
     let Some(name) = name else { return Ok(Illuminant::default()) };
     name.parse::<Illuminant>().map_err(|e| raised(e.at("illuminant")))
-}
-
-/// How diffraction enters pictures, by name.
-pub(crate) fn bending(name: Option<&str>) -> PyResult<Diffraction> {
-    let Some(name) = name.filter(|name| *name != "auto") else { return Ok(Diffraction::Auto) };
-    let wanted = "\"on\", \"off\", \"approximate\" or \"auto\"";
-    Model::from_name(name).map(Diffraction::from).ok_or_else(|| refused("diffraction", format!("{name:?}"), wanted))
-}
-
-/// By what a layer's kernels are made, by name: patches of a training do not decide it.
-pub(crate) fn model(name: Option<&str>) -> PyResult<Model> {
-    let Some(name) = name else { return Ok(Model::Rays) };
-    let wanted = "\"off\", \"approximate\" or \"on\"";
-    Model::from_name(name).ok_or_else(|| refused("diffraction", format!("{name:?}"), wanted))
 }
 
 /// `lens` with an object and a frame in place of its own.
@@ -253,7 +237,8 @@ impl Asked<'_, '_> {
         if let Some(texels) = self.texels_per_pixel.filter(|t| !(*t > 0.0 && *t <= 1000.0)) {
             return Err(refused("texels_per_pixel", texels, "a positive number, at most 1000"));
         }
-        let options = PlanOptions { diffraction: bending(self.diffraction)?, ..PlanOptions::default() };
+        let options =
+            PlanOptions { diffraction: Bending::of_pictures(self.diffraction.as_ref())?, ..PlanOptions::default() };
         let light = light(self.illuminant)?;
         let distance = self.distance_mm.map_or(Ok(lens.object_vergence), |d| vergence("distance_mm", d))?;
         let texels_per_pixel = self.texels_per_pixel;
@@ -363,7 +348,7 @@ impl Render {
         distance_mm: Option<f64>,
         min_psnr_db: Option<f64>,
         texels_per_pixel: Option<f64>,
-        diffraction: Option<&str>,
+        diffraction: Option<Bending>,
         illuminant: Option<&str>,
         plan: Option<&Bound<'_, Plan>>,
     ) -> PyResult<(Py<PyAny>, Py<PyAny>)> {
@@ -393,7 +378,7 @@ impl Render {
         distance_mm: Option<f64>,
         min_psnr_db: Option<f64>,
         texels_per_pixel: Option<f64>,
-        diffraction: Option<&str>,
+        diffraction: Option<Bending>,
         illuminant: Option<&str>,
     ) -> PyResult<Plan> {
         let listed = photos.cast::<pyo3::types::PyList>().ok();
@@ -446,7 +431,7 @@ impl Render {
         distance_mm: Option<f64>,
         min_psnr_db: Option<f64>,
         texels_per_pixel: Option<f64>,
-        diffraction: Option<&str>,
+        diffraction: Option<Bending>,
         illuminant: Option<&str>,
         plan: Option<&Bound<'_, Plan>>,
         region: Option<[usize; 4]>,
@@ -458,6 +443,14 @@ impl Render {
         here(|| finite(&scene))?;
         let double = matches!(floats, Floats::Double(_));
         Record::of(py, plan, scene, region, double)
+    }
+
+    /// What `inspect.signature` and notebooks show of it.
+    #[getter(__signature__)]
+    fn signature<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let made = c"__import__('inspect').signature(lambda lens, photo, frame=None, *, distance_mm=None, min_psnr_db=None, texels_per_pixel=None, \
+            diffraction=None, illuminant=None, plan=None: None)";
+        py.eval(made, None, None)
     }
 
     fn __repr__(&self) -> &'static str {

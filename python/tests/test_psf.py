@@ -1,5 +1,8 @@
 """Point spread functions: what they sum to, where they lie, the command's bits, gradients."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 
@@ -23,6 +26,26 @@ def test_shapes_energy_and_places():
     axis = psf.kernels[1, 0, 1]
     assert np.abs(axis - axis[::-1]).max() < 1e-6 and np.abs(axis - axis[:, ::-1]).max() < 1e-6
     assert np.abs(psf.centroid_um[:, 0]).max() < 1e-3 and np.abs(psf.centroid_um[..., 0]).max() < 1e-3
+
+
+def test_pickles_and_other_words_for_numbers():
+    lens = iso.Lens("cooke_triplet")
+    asked = {"fields_deg": [0, 9], "pitch_um": 15, "size": 31, "rays": 400}
+    psf = lens.psf(**asked, dtype="float64")
+    for one in (psf, lens.replace({"surface[0].curvature": 0.0455}).psf(like=psf), lens.psf(**asked, diffraction="on")):
+        again = pickle.loads(pickle.dumps(one))
+        assert again.kernels.dtype == one.kernels.dtype and (again.kernels == one.kernels).all() and (again.outside == one.outside).all()
+        assert again.vjp(np.ones_like(one.kernels)) == one.vjp(np.ones_like(one.kernels)) and copy.copy(one) is one
+    assert (lens.psf(**asked, diffraction=True).kernels == lens.psf(**asked, diffraction="on").kernels).all()
+    with pytest.raises(ValueError, match='diffraction: "approximate"; "on" or "off"; True is'):
+        lens.psf(diffraction="approximate")
+    # Half the light at each f-number's square.
+    wide, narrow = (lens.replace(f_number=n).inspect() for n in (8, 16))
+    assert wide["f_number"] == pytest.approx(8, rel=1e-9) and narrow["entrance_pupil_diameter_mm"] == pytest.approx(0.5 * wide["entrance_pupil_diameter_mm"], rel=1e-9)
+    with pytest.raises(ValueError, match="f_number: value: 0.5, a stop of .* mm; .* or more"):
+        lens.replace(f_number=0.5)
+    for fields in (9, np.float32(9), np.array(9.0), [9], (9.0,)):
+        assert lens.spot(fields_deg=fields, rays=100)["field_angle_deg"].tolist() == [9]
 
 
 def test_a_kernel_stands_as_in_the_upright_picture():

@@ -14,7 +14,7 @@ with warnings.catch_warnings():
     # Of torch's own parts.
     warnings.simplefilter("ignore")
     torch = pytest.importorskip("torch", reason="torch is not installed")
-    from isoplanat.torch import LensLayer, LensSteps, RayLayer
+    from isoplanat.torch import LensLayer, LensSteps, PsfLayer, RayLayer
 
 
 @pytest.mark.parametrize("distance", [1000.0, float("inf")])
@@ -220,6 +220,56 @@ def test_a_lens_is_trained():
     assert losses[-1] < 0.2 * losses[0], losses
     found = layer.lens.parameters["surface[5].thickness"] - lens.parameters["surface[5].thickness"]
     assert abs(found) < 0.15, found
+
+
+def test_passes_of_one_lens_are_one():
+    """Passes of one lens are the same whether it was traced for them or for another; one that moved is traced anew; a lens of several passes gives each its gradient."""
+    lens = iso.Lens("tessar")
+    layer = LensLayer(lens, frame_of(lens, 48, 48), trainable="surface[*].curvature", replan_every=0)
+    scenes = torch.tensor(smooth((2, 3, 32, 32), 5)).float()
+
+    def passed():
+        captures, truths = layer(scenes)
+        return captures, (captures - truths).square().mean()
+
+    (first, loss), (second, other) = passed(), passed()
+    assert (first == second).all()
+    loss.backward()
+    gradient = layer.numbers["curvature"].grad.clone()
+    layer.zero_grad()
+    other.backward()
+    assert (gradient == layer.numbers["curvature"].grad).all() and gradient.abs().sum() > 0
+    kept = layer.numbers["curvature"].detach().clone()
+    with torch.no_grad():
+        layer.numbers["curvature"][0] *= 1 + 1e-6
+    moved, _ = passed()
+    assert not (moved == first).all()
+    with torch.no_grad():
+        layer.numbers["curvature"].copy_(kept)
+    assert (passed()[0] == first).all()
+
+
+def test_numbers_that_are_no_lens_go_back():
+    lens = iso.Lens("cooke_triplet")
+    psf, rays = PsfLayer(lens, fields_deg=torch.tensor([0.0, 5.0]), size=21), RayLayer(lens)
+    arguments = {psf: (), rays: (torch.tensor([[0.0, 1.0, -10.0]]), torch.tensor([0.0, 0.0, 1.0]))}
+    for layer in (psf, rays):
+        first = layer(*arguments[layer])
+        kept = layer.numbers["curvature"].detach().clone()
+        with torch.no_grad():
+            layer.numbers["curvature"][0] = 5.0
+        with pytest.raises(ValueError, match="its last pass again; farthest moved since: surface.0..curvature from 0.0.* to 5"):
+            layer(*arguments[layer])
+        assert (layer.numbers["curvature"] == kept).all()
+        second = layer(*arguments[layer])
+        assert (second == first).all() if layer is psf else (second.positions == first.positions).all()
+    other = PsfLayer(lens, fields_deg=[0.0], trainable="surface[0].curvature")
+    with pytest.raises(ValueError, match=r"numbers that are not trained here: surface\[1\].curvature, .*; trained here and not in it: no others"):
+        other.load_state_dict(psf.state_dict())
+    layer = LensLayer(lens, frame_of(lens, 24, 24), distances_mm=[1000, float("inf")])
+    scenes = torch.zeros(1, 3, 24, 24)
+    for distance in (1000, np.float32(1000), np.array(1000), torch.tensor(1000.0), [1000], torch.tensor([1000.0])):
+        assert layer(scenes, distance)[0].shape == (1, 3, 24, 24)
 
 
 def test_what_cannot_be_is_refused():

@@ -93,7 +93,7 @@ def test_steps_go_on_where_they_were(first):
         assert torch.equal(layer.numbers[kind], other.numbers[kind])
     # Of other numbers, another lens, another optimizer: refused.
     fewer = LensLayer(lens, frame_of(lens, 48, 48), trainable="surface[1].curvature")
-    with pytest.raises(ValueError, match=r"state_dict: surface\[0\].curvature, .*; surface\[1\].curvature, which are trained here"):
+    with pytest.raises(ValueError, match=r"state_dict: numbers that are not trained here: surface\[0\].curvature, .*; trained here and not in it: no others"):
         fewer.load_state_dict(kept[0])
     with pytest.raises(ValueError, match="not of LensSteps of these numbers"):
         LensSteps(fewer).load_state_dict(kept[1])
@@ -243,7 +243,7 @@ def test_states_of_kernels_and_rays_are_of_their_numbers(of):
             layer.numbers["thickness"].add_(0.1)
         fresh.load_state_dict(copy.deepcopy(layer.state_dict()))
         assert torch.equal(fresh(), layer())
-    with pytest.raises(ValueError, match=r"state_dict: surface\[5\].thickness; surface\[0\].thickness, which are trained here"):
+    with pytest.raises(ValueError, match=r"state_dict: numbers that are not trained here: surface\[5\].thickness; trained here and not in it: surface\[0\].thickness"):
         of(lens, trainable="surface[0].thickness").load_state_dict(layer.state_dict())
     with pytest.raises(ValueError, match="state_dict: of the lens"):
         of(iso.Lens("double_gauss"), trainable="surface[5].thickness").load_state_dict(layer.state_dict())

@@ -12,11 +12,12 @@ use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::illuminant::Illuminant;
 use isoplanat::imaging::sensor::spectrum::{SEEN, SpectralDensity};
 use isoplanat::interchange::{self, Imported, Reading};
-use isoplanat::lens::paraxial::{field_origin, first_order};
-use isoplanat::lens::{Aperture, Lens};
+use isoplanat::lens::Lens;
+use isoplanat::lens::f_number::stopped_to;
+use isoplanat::lens::paraxial::stop_semi_diameter;
 use isoplanat::report::table::significant;
 use isoplanat::trace::rims::overlapping_rims;
-use isoplanat::{Error, Result, atomic};
+use isoplanat::{Result, atomic};
 
 use crate::glasses;
 use crate::named::Named;
@@ -119,38 +120,14 @@ impl FNumber {
     /// An f-number that is none, a lens without power, a stop larger than its surface lets through.
     pub(crate) fn applied(self, lens: Lens, argument: &str) -> Result<Lens> {
         let Some(number) = self.f_number else { return Ok(lens) };
-        let refuse = |found: String, allowed: String| Err(Error::bad("--f-number", "value", found, allowed));
-        if !(number > 0.0 && number <= 1e6) {
-            return refuse(number.to_string(), "above 0 and up to 1e6".into());
-        }
-        let first = first_order(&lens, lens.wavelengths.primary_nm);
-        let powerless =
-            !(first.f_number.is_finite() && first.f_number > 0.0 && first.effective_focal_length.abs() < 1e9);
-        if field_origin(&lens).telecentric {
-            let found =
-                format!("given for {argument}, whose entrance pupil lies at infinity (telecentric in object space)");
-            return refuse(
-                found,
-                "a lens with an entrance pupil; the light of this one is its object_na, in its file".into(),
-            );
-        }
-        if powerless {
-            return refuse(format!("given for {argument}, which has no power"), "a lens with a focal length".into());
-        }
-        // The pupil grows as the stop does.
-        let radius = first.stop_semi_diameter * first.f_number / number;
-        let clear = lens.surfaces[lens.stop].semi_diameter;
-        if radius > clear * (1.0 + 1e-9) {
-            let least = first.stop_semi_diameter * first.f_number / clear;
-            let allowed = format!("{} or more: the stop's surface is clear up to {clear} mm", significant(least, 5));
-            return refuse(format!("{number}, a stop of {} mm", significant(radius, 5)), allowed);
-        }
+        let stopped = stopped_to(&lens, number).map_err(|e| e.of_file("--f-number"))?;
+        let [before, radius] = [&lens, &stopped].map(|lens| stop_semi_diameter(lens));
         crate::aside!(
             "note: {argument}: f/{number} for this run: the stop's semi-diameter is {} mm in place of {}",
             significant(radius, 6),
-            significant(first.stop_semi_diameter, 6)
+            significant(before, 6)
         );
-        lens.changed(|l| l.aperture = Aperture::StopSemiDiameter(radius))
+        Ok(stopped)
     }
 }
 

@@ -26,6 +26,8 @@ pub(crate) mod clearance;
 #[doc(hidden)]
 pub mod dispersion;
 #[doc(hidden)]
+pub mod f_number;
+#[doc(hidden)]
 pub mod freeform;
 pub mod glass;
 pub mod gradient;

@@ -127,7 +127,7 @@ def dataset(
     flat_field: bool = False,
     illuminant: str | None = None,
     min_psnr_db: float = 45.0,
-    diffraction: str | None = None,
+    diffraction: str | bool | None = None,
     judge: float = 0.0,
     judge_samples: int = 128,
     form: str = "npy",

@@ -1,4 +1,5 @@
 from collections.abc import Callable, Mapping, Sequence
+from inspect import Signature
 from os import PathLike
 from typing import Any, Final, Literal, TypeAlias, final
 
@@ -29,6 +30,7 @@ __all__ = [
     "lenses",
     "make_dataset",
     "numbers_of",
+    "psf_again",
     "read_picture",
     "render",
     "scene",
@@ -43,6 +45,7 @@ render: Final[Render]
 
 def lenses() -> list[str]: ...
 def numbers_of(lens: Lens, trainable: str | Sequence[str]) -> tuple[list[str], list[float]]: ...
+def psf_again(first: Lens, keywords: dict[str, Any], lens: Lens | None, dtype: str) -> Psf: ...
 def read_picture(file: _File) -> NDArray[np.float32]: ...
 def scene(kind: str, rows: int, columns: int, *, seed: int = 1) -> NDArray[np.float32]: ...
 def sensor_facts(sensor: _File) -> dict[str, Any]: ...
@@ -78,7 +81,7 @@ def make_dataset(
     flat_field: bool,
     illuminant: str | None,
     min_psnr_db: float,
-    diffraction: str | None,
+    diffraction: bool | str | None,
     judge: float,
     judge_samples: int,
     form: str,
@@ -117,7 +120,7 @@ class Layer:
         trainable: str | Sequence[str],
         illuminant: str | None,
         settings: str | None = None,
-        diffraction: str | None = None,
+        diffraction: bool | str | None = None,
     ) -> Layer: ...
     @property
     def names(self) -> list[str]: ...
@@ -219,7 +222,9 @@ class Lens:
     def frame(self) -> Frame: ...
     @property
     def parameters(self) -> dict[str, float]: ...
-    def replace(self, numbers: Mapping[str, float] | None = None, *, distance_mm: float | None = None) -> Lens: ...
+    def replace(
+        self, numbers: Mapping[str, float] | None = None, *, distance_mm: float | None = None, f_number: float | None = None
+    ) -> Lens: ...
     def save(self, file: _File, *, force: bool = False) -> list[str]: ...
     def svg(self) -> str: ...
     def trace(
@@ -248,7 +253,7 @@ class Lens:
         rays: int | None = None,
         dtype: _DType | None = None,
         like: Psf | None = None,
-        diffraction: bool = False,
+        diffraction: bool | str | None = None,
     ) -> Psf: ...
     def psf_map(
         self,
@@ -263,7 +268,7 @@ class Lens:
         rays: int | None = None,
         sensor: _File | None = None,
         illuminant: str | None = None,
-        diffraction: bool = False,
+        diffraction: bool | str | None = None,
     ) -> dict[str, Any]: ...
     def inspect(self, *, wavelength_nm: float | None = None) -> dict[str, Any]: ...
     def spot(
@@ -271,7 +276,7 @@ class Lens:
         *,
         distance_mm: float | None = None,
         rays: int = 1600,
-        fields_deg: Sequence[float] = ...,
+        fields_deg: float | Sequence[float] | NDArray[np.float64] | None = None,
         max_angle_deg: float | None = None,
     ) -> dict[str, Any]: ...
     def mtf(
@@ -279,7 +284,7 @@ class Lens:
         *,
         distance_mm: float | None = None,
         rays: int = 1600,
-        fields_deg: Sequence[float] = ...,
+        fields_deg: float | Sequence[float] | NDArray[np.float64] | None = None,
         max_angle_deg: float | None = None,
         max_cycles_per_mm: float | None = None,
         shift_mm: float | None = None,
@@ -347,6 +352,9 @@ class Psf:
     @property
     def pitch_um(self) -> float: ...
     def vjp(self, kernels_bar: ArrayLike) -> dict[str, float]: ...
+    def __copy__(self) -> Psf: ...
+    def __deepcopy__(self, _memo: Any) -> Psf: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
     def energy(self) -> dict[str, NDArray[np.float64]] | None: ...
 
 @final
@@ -380,6 +388,8 @@ class Record:
 
 @final
 class Render:
+    @property
+    def __signature__(self) -> Signature: ...
     def __call__(
         self,
         lens: Lens,
@@ -389,7 +399,7 @@ class Render:
         distance_mm: float | None = None,
         min_psnr_db: float | None = None,
         texels_per_pixel: float | None = None,
-        diffraction: str | None = None,
+        diffraction: bool | str | None = None,
         illuminant: str | None = None,
         plan: Plan | None = None,
     ) -> tuple[_Floats, _Floats]: ...
@@ -402,7 +412,7 @@ class Render:
         distance_mm: float | None = None,
         min_psnr_db: float | None = None,
         texels_per_pixel: float | None = None,
-        diffraction: str | None = None,
+        diffraction: bool | str | None = None,
         illuminant: str | None = None,
     ) -> Plan: ...
     def record(
@@ -414,7 +424,7 @@ class Render:
         distance_mm: float | None = None,
         min_psnr_db: float | None = None,
         texels_per_pixel: float | None = None,
-        diffraction: str | None = None,
+        diffraction: bool | str | None = None,
         illuminant: str | None = None,
         plan: Plan | None = None,
         region: tuple[int, int, int, int] | Sequence[int] | None = None,

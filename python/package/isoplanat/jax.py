@@ -56,7 +56,7 @@ class LensFunction(Placed):
         distances_mm: float | Sequence[float] | None = None,
         trainable: str | Sequence[str] = ("surface[*].curvature",),
         illuminant: str | None = None,
-        diffraction: str = "off",
+        diffraction: str | bool = "off",
         held: bool = False,
     ) -> None:
         if not jax.config.read("jax_enable_x64"):  # type: ignore[no-untyped-call,unused-ignore]

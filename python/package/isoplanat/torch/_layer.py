@@ -1,6 +1,7 @@
 """A lens as a layer of PyTorch: what it makes of patches of scenes, with the gradient of one's own loss by the lens's numbers."""
 
 from collections.abc import Iterable, Sequence
+from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -101,13 +102,12 @@ class LensLayer(Placed, Numbers):
         distances_mm: float | Sequence[float] | None = None,
         trainable: str | Sequence[str] = ("surface[*].curvature",),
         illuminant: str | None = None,
-        diffraction: str = "off",
+        diffraction: str | bool = "off",
         replan_every: int = 25,
     ) -> None:
         core = Layer(lens, frame, distances_mm, trainable, illuminant, diffraction=diffraction)
         super().__init__(core.names, core.values, replan_every)
         self._core = core
-        self._valid = self._planned
         # The lens that the layout is for.
         self._planned_lens = core.base
         # The lens that settings were chosen for, its numbers, and the settings.
@@ -127,17 +127,6 @@ class LensLayer(Placed, Numbers):
         except ValueError as error:
             raise self._gone_back(error) from None
         self._passes, self._planned, self._planned_lens = 0, values.clone(), self._core.base
-
-    def _gone_back(self, error: ValueError) -> ValueError:
-        """The error of numbers that are no lens, which go back to those of the last pass; says how far they were from there."""
-        values, kept = self._values().detach().cpu(), self._valid.cpu()
-        if torch.equal(values, kept):
-            return error
-        by = (values - kept).abs() / kept.abs().clamp(min=max(1e-3 * float(kept.abs().max()), 1e-12))
-        farthest = torch.nan_to_num(by, nan=torch.inf, posinf=torch.inf).argsort(descending=True).tolist()[:3]
-        moved = ", ".join(f"{self._all_names[k]} from {float(kept[k]):.6g} to {float(values[k]):.6g}" for k in farthest if values[k] != kept[k])
-        self._set(self._valid)
-        return ValueError(f"{error}; the layer has the numbers of its last pass again; farthest moved since: {moved}")
 
     def tune(
         self, scenes: torch.Tensor, distance_mm: Any = None, place: Any = None, *, margin: int = 0, shift: Any = None
@@ -166,7 +155,8 @@ class LensLayer(Placed, Numbers):
             asked = [known[0]] * count
         else:
             try:
-                asked = [float(distance_mm)] * count if isinstance(distance_mm, int | float) else [float(d) for d in distance_mm]
+                one = isinstance(distance_mm, Real) or getattr(distance_mm, "ndim", None) == 0
+                asked = [float(distance_mm)] * count if one else [float(d) for d in distance_mm]
             except (TypeError, ValueError):
                 raise ValueError(f"distance_mm: {distance_mm!r}; a number of mm for all scenes, or one for each") from None
         return which(known, asked)

@@ -36,6 +36,8 @@ class Numbers(nn.Module):
         self.replan_every = replan_every
         # Passes in training since the last layout, and the numbers that it was for.
         self._passes, self._planned = 0, self._values().detach().clone()
+        # Those of the last pass, which were a lens.
+        self._valid = self._planned
 
     def replan(self) -> None:
         """Lays out anew for the numbers as they are."""
@@ -54,11 +56,35 @@ class Numbers(nn.Module):
     def _lens_of(self, state: dict[str, Any], name: str, own: Lens) -> Lens:
         """A lens of a state, which is to train the same numbers of a lens with the same surfaces as ``own``."""
         if state["names"] != self._all_names:
-            raise ValueError(f"state_dict: {', '.join(state['names'])}; {', '.join(self._all_names)}, which are trained here")
+            missing, foreign = (
+                ", ".join(sorted(set(some) - set(others))) or "no others" for some, others in ((self._all_names, state["names"]), (state["names"], self._all_names))
+            )
+            raise ValueError(f"state_dict: numbers that are not trained here: {foreign}; trained here and not in it: {missing}")
         lens = Lens.from_toml(state[name], "state_dict")
         if list(lens.parameters) != list(own.parameters):
             raise ValueError(f"state_dict: of the lens {lens.name!r}; one with the surfaces of {own.name!r}")
         return lens
+
+    def _gone_back(self, error: ValueError) -> ValueError:
+        """The error of numbers that are no lens, which go back to those of the last pass; says how far they were from there."""
+        values, kept = self._values().detach().cpu(), self._valid.cpu()
+        if torch.equal(values, kept):
+            return error
+        by = (values - kept).abs() / kept.abs().clamp(min=max(1e-3 * float(kept.abs().max()), 1e-12))
+        farthest = torch.nan_to_num(by, nan=torch.inf, posinf=torch.inf).argsort(descending=True).tolist()[:3]
+        moved = ", ".join(f"{self._all_names[k]} from {float(kept[k]):.6g} to {float(values[k]):.6g}" for k in farthest if values[k] != kept[k])
+        self._set(self._valid)
+        return ValueError(f"{error}; the layer has the numbers of its last pass again; farthest moved since: {moved}")
+
+    def _sound(self) -> torch.Tensor:
+        """All numbers, which are a lens; where they are none they go back to those of the last pass, and ValueError says so."""
+        values = self._values()
+        try:
+            replaced(self._lens, self._all_names, values)
+        except ValueError as error:
+            raise self._gone_back(error) from None
+        self._valid = values.detach().clone()
+        return values
 
     def _lay_out(self) -> None:
         """Lays out for the numbers of the last layout."""

@@ -80,8 +80,12 @@ class PsfLayer(Numbers):
         self._like = self._lens.replace(numbers).psf(**self._options)
 
     def replan(self) -> None:
-        """Places kernels anew, about the light of the lens as it is now."""
-        self._like, self._passes, self._planned = self.lens.psf(**self._options), 0, self._values().detach().clone()
+        """Places kernels anew, about the light of the lens as it is now. Raises ValueError where its numbers are no lens; they go back then, as in `forward`."""
+        try:
+            self._like = self.lens.psf(**self._options)
+        except ValueError as error:
+            raise self._gone_back(error) from None
+        self._passes, self._planned = 0, self._values().detach().clone()
 
     @property
     def lens(self) -> Lens:
@@ -90,7 +94,11 @@ class PsfLayer(Numbers):
 
     @torch.compiler.disable  # type: ignore[untyped-decorator,unused-ignore]
     def forward(self) -> torch.Tensor:
-        """The kernels, on the numbers' device."""
+        """The kernels, on the numbers' device. Raises ValueError where the numbers are no lens; they go back to those of the last pass then."""
         self._follow()
-        kernels: torch.Tensor = _Kernels.apply(self._values(), self._lens, self._all_names, self._like)  # type: ignore[no-untyped-call,unused-ignore]
+        try:
+            kernels: torch.Tensor = _Kernels.apply(self._values(), self._lens, self._all_names, self._like)  # type: ignore[no-untyped-call,unused-ignore]
+        except ValueError as error:
+            raise self._gone_back(error) from None
+        self._valid = self._values().detach().clone()
         return kernels

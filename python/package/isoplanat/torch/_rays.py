@@ -108,6 +108,7 @@ class RayLayer(Numbers):
         wavelength_nm : float, optional
             The lens's primary wavelength where left out.
 
+        Raises ValueError where the numbers are no lens; they go back to those of the last pass then.
         Rays that do not arrive are nan and have no gradient: ``landings.positions[landings.status == 0]`` are the others.
         """
         for name, tensor in (("origins", origins), ("directions", directions)):
@@ -115,4 +116,4 @@ class RayLayer(Numbers):
                 raise TypeError(f"{name}: {getattr(tensor, 'dtype', type(tensor).__name__)}; a tensor in floating point")
         options = {"wavelength_nm": wavelength_nm, "clip": self._clip}
         given = [tensor.to(torch.float64) for tensor in (origins, directions)]
-        return Landings(*_Traced.apply(self._values(), *given, self._lens, self._all_names, options))  # type: ignore[no-untyped-call,unused-ignore]
+        return Landings(*_Traced.apply(self._sound(), *given, self._lens, self._all_names, options))  # type: ignore[no-untyped-call,unused-ignore]
