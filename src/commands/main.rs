@@ -1,8 +1,7 @@
 //! `isoplanat`: reads the command line, runs one command, turns its error into one line and an exit code.
 //!
 //! 0 done, 1 a check failed or an internal error, 2 bad input, 130 interrupted. Results go to stdout, everything else to
-//! stderr. To add a command: a file beside this one with `Args` and `run`, a variant of [`Command`], a line in
-//! [`dispatch`]; one that needs a feature has a second variant over [`missing::Args`] for builds without it.
+//! stderr. How a command is added stands in ARCHITECTURE.md; one that needs a feature has a second variant over [`missing::Args`] for builds without it.
 
 /// Where memory is refused, one line and exit code 2.
 #[global_allocator]

@@ -9,16 +9,7 @@ const LENS: &str = include_str!("../../models/lenses/two_element.toml");
 #[test]
 fn help_and_version_are_no_errors_and_nonsense_is_bad_input() {
     let place = Workplace::new();
-    let help = place.run("--help").done();
-    for command in [
-        "inspect", "lenses", "check", "trace", "psf", "render", "capture", "accuracy", "demo", "design", "sweep",
-        "dataset", "train", "evaluate", "export", "compare",
-    ] {
-        assert!(help.contains(command), "{help}");
-    }
-    for command in ["inspect", "lenses", "check", "trace", "psf", "render", "capture", "accuracy", "dataset"] {
-        assert!(place.run(&format!("{command} --help")).done().contains("Usage"));
-    }
+    assert!(place.run("--help").done().contains("Commands:"));
     assert!(place.run("--version").done().starts_with("isoplanat "));
     assert_eq!(place.run("frobnicate").code, 2);
     assert_eq!(place.run("inspect").code, 2);

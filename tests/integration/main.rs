@@ -9,7 +9,6 @@ mod calibrate_sensor;
 mod camera;
 #[cfg(feature = "deploy")]
 mod children;
-mod circles;
 mod cli;
 mod command_line;
 mod commands;
@@ -21,6 +20,7 @@ mod dataset;
 #[cfg(feature = "train")]
 mod designing;
 mod diffraction;
+#[cfg(all(unix, feature = "train", feature = "deploy", feature = "calibrate"))]
 mod documents;
 mod examples;
 mod extremes;
@@ -38,10 +38,12 @@ mod gradients;
 mod guided;
 mod hostile;
 mod kernel_edges;
-mod layering;
 mod lens_files;
 mod lenses;
 mod library;
+#[cfg(all(unix, feature = "train", feature = "deploy", feature = "calibrate"))]
+#[path = "../structure/manual.rs"]
+mod manual;
 #[cfg(all(feature = "train", feature = "deploy", feature = "calibrate"))]
 mod measured_lens;
 mod memory;
@@ -54,7 +56,6 @@ mod picture;
 mod prescriptions;
 mod properties;
 mod psf_forms;
-mod public_api;
 #[cfg(unix)]
 mod random_lenses;
 mod refusals;

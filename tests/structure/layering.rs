@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 
-use crate::support::root;
+use crate::root;
 
 /// Modules of one crate in the order of the light; each uses only those before it. Between crates cargo holds the order.
 const ORDER: [(&str, &[&str]); 3] = [
