@@ -5,8 +5,11 @@
 //!
 //! Not covered: which tolerances a lens needs, barrels, coatings, stray light.
 
+#[doc(hidden)]
 pub mod element;
+#[doc(hidden)]
 pub mod face;
+#[doc(hidden)]
 pub mod mount;
 pub mod tolerances;
 
