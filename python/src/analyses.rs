@@ -27,6 +27,7 @@ pub(crate) struct Look {
     pub(crate) fields_deg: Vec<f64>,
     pub(crate) max_angle_deg: Option<f64>,
     pub(crate) max_cycles_per_mm: Option<f64>,
+    pub(crate) cycles_per_mm: Vec<f64>,
     pub(crate) shift_mm: Option<f64>,
 }
 
@@ -38,6 +39,7 @@ impl Default for Look {
             fields_deg: Vec::new(),
             max_angle_deg: None,
             max_cycles_per_mm: None,
+            cycles_per_mm: Vec::new(),
             shift_mm: None,
         }
     }
@@ -46,8 +48,8 @@ impl Default for Look {
 impl Look {
     fn options(&self) -> PyResult<Options> {
         let Self { rays, max_angle_deg, max_cycles_per_mm, shift_mm, .. } = *self;
-        let fields_deg = self.fields_deg.clone();
-        let asked = Asked { rays, fields_deg, max_angle_deg, max_cycles_per_mm, shift_mm };
+        let (fields_deg, cycles_per_mm) = (self.fields_deg.clone(), self.cycles_per_mm.clone());
+        let asked = Asked { rays, fields_deg, max_angle_deg, max_cycles_per_mm, cycles_per_mm, shift_mm };
         let told = |Refused { name, found, allowed }: Refused| refused(name, found, allowed);
         asked.options(Limit::of_process()).map_err(told)
     }

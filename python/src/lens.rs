@@ -462,8 +462,9 @@ impl Lens {
     }
 
     /// Modulation transfer by rays and by diffraction: `fields`, `plots`, and arrays `mtf`, `mtf_diffraction` [shift, field, frequency, direction],
-    /// `shift_mm`, `cycles_per_mm`, `field_angle_deg`. Directions: tangential, sagittal.
-    #[pyo3(signature = (*, distance_mm = None, rays = 1600, fields_deg = None, max_angle_deg = None, max_cycles_per_mm = None, shift_mm = None))]
+    /// `shift_mm`, `cycles_per_mm`, `field_angle_deg`. Directions: tangential, sagittal. Frequencies given as `cycles_per_mm` stand among the even ones.
+    #[pyo3(signature = (*, distance_mm = None, rays = 1600, fields_deg = None, max_angle_deg = None, max_cycles_per_mm = None, shift_mm = None,
+        cycles_per_mm = None))]
     #[expect(clippy::too_many_arguments, reason = "each is a keyword of its own")]
     fn mtf(
         &self,
@@ -474,9 +475,11 @@ impl Lens {
         max_angle_deg: Option<f64>,
         max_cycles_per_mm: Option<f64>,
         shift_mm: Option<f64>,
+        cycles_per_mm: Option<Several<f64>>,
     ) -> PyResult<Py<PyAny>> {
-        let fields_deg = fields_deg.map_or_else(Vec::new, |all| all.0);
-        let look = Look { distance_mm, rays, fields_deg, max_angle_deg, max_cycles_per_mm, shift_mm };
+        let [fields_deg, cycles_per_mm] =
+            [fields_deg, cycles_per_mm].map(|list| list.map_or_else(Vec::new, |all| all.0));
+        let look = Look { distance_mm, rays, fields_deg, max_angle_deg, max_cycles_per_mm, cycles_per_mm, shift_mm };
         crate::analyses::analysis(py, &self.inner, Analysis::Mtf, look)
     }
 

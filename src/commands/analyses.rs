@@ -32,6 +32,9 @@ pub(crate) struct View {
     /// Highest frequency of the MTF, cycles/mm [default: the sensor's Nyquist frequency]
     #[arg(long, allow_negative_numbers = true, value_name = "CY/MM")]
     max_cycles_per_mm: Option<f64>,
+    /// Frequencies of the MTF's table, cycles/mm, with commas between; curves go as far as the highest [default: even ones]
+    #[arg(long, value_name = "CY/MM,…", value_delimiter = ',', allow_negative_numbers = true)]
+    cycles_per_mm: Vec<f64>,
     /// Largest shift of the image plane, mm [default: from the foci of the fields]
     #[arg(long, allow_negative_numbers = true, value_name = "MM")]
     shift_mm: Option<f64>,
@@ -60,8 +63,9 @@ impl View {
     /// The checked options; kernels are grey.
     pub(crate) fn options(&self) -> Result<Options> {
         let Self { max_angle_deg, max_cycles_per_mm, shift_mm, .. } = *self;
-        let fields_deg = self.fields_deg.clone();
-        let asked = Asked { rays: self.rays as usize, fields_deg, max_angle_deg, max_cycles_per_mm, shift_mm };
+        let (fields_deg, cycles_per_mm) = (self.fields_deg.clone(), self.cycles_per_mm.clone());
+        let rays = self.rays as usize;
+        let asked = Asked { rays, fields_deg, max_angle_deg, max_cycles_per_mm, cycles_per_mm, shift_mm };
         asked.options(crate::memory::limit()).map_err(|Refused { name, found, allowed }| {
             Error::bad(format!("--{}", name.replace('_', "-")), "value", found.to_string(), allowed)
         })
@@ -179,7 +183,8 @@ fn mtf_table(o: &Overview, of: impl Fn(&Field, usize) -> [f64; 2]) -> Table {
     let angle = |f: &Field| significant(f.angle_deg, 4);
     let names = o.fields.iter().flat_map(|f| [format!("{}° T", angle(f)), format!("{}° S", angle(f))]);
     let mut table = Table::new(std::iter::once("cycles/mm".to_owned()).chain(names));
-    for (k, f) in o.cycles_per_mm.iter().enumerate() {
+    let asked = &o.settings.asked_cycles_per_mm;
+    for (k, f) in o.cycles_per_mm.iter().enumerate().filter(|(_, f)| asked.is_empty() || asked.contains(f)) {
         let values = o.fields.iter().flat_map(|field| of(field, k)).map(|v| figure(v, |v| format!("{v:.4}")));
         table.row(std::iter::once(significant(*f, 5)).chain(values));
     }

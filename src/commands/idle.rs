@@ -19,7 +19,8 @@ struct Idle {
     promise: bool,
 }
 
-const ALL: [Idle; 11] = [
+const ALL: [Idle; 12] = [
+    Idle { option: "cycles_per_mm", ..OF_CHIEF_RAYS },
     Idle { option: "max_cycles_per_mm", ..OF_CHIEF_RAYS },
     Idle { option: "shift_mm", ..OF_CHIEF_RAYS },
     Idle { option: "rays", ..OF_CHIEF_RAYS },

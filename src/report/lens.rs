@@ -51,6 +51,8 @@ pub struct Options {
     pub max_angle_deg: Option<f64>,
     /// Highest frequency of the MTF, cycles/mm; `None` takes the sensor's Nyquist frequency.
     pub cycles_per_mm: Option<f64>,
+    /// Frequencies beside the even ones up to that, which then go as far as the highest of them.
+    pub asked_cycles_per_mm: Vec<f64>,
     /// Largest shift of the image plane, mm; `None` takes what the foci ask for.
     pub shift_mm: Option<f64>,
     /// Shifts of the image plane to each side.
@@ -158,6 +160,7 @@ pub fn look(lens: &Lens, options: &Options) -> (Overview, Vec<String>) {
         drawn: usual.drawn.min(options.rays / 3),
         shifts: options.shifts,
         cycles_per_mm: options.cycles_per_mm.unwrap_or(usual.cycles_per_mm),
+        asked_cycles_per_mm: options.asked_cycles_per_mm.clone(),
         shift_mm: options.shift_mm,
         waves: usual.waves.filter(|_| options.whole),
         energy: options.energy,

@@ -60,6 +60,7 @@ impl LensView {
             fields_deg: Vec::new(),
             max_angle_deg: None,
             cycles_per_mm: None,
+            asked_cycles_per_mm: Vec::new(),
             shift_mm: None,
             shifts: SHIFTS,
             spots: true,

@@ -417,6 +417,24 @@ fn spoilt_files_are_read_or_refused() {
 fn commands_take_any_file_and_convert_writes_them() {
     let place = Workplace::new();
     place.write("a.zmx", TRIPLE);
+    // Scaled, by a factor and to a focal length: all lengths, and the pixels stay.
+    let first = |file: &str| -> serde_json::Value {
+        serde_json::from_str(&place.run(&format!("inspect {file} --json")).done()).expect("JSON")
+    };
+    for (how, file) in [("--scale 2", "twice.toml"), ("--focal-length-mm 100", "hundred.toml")] {
+        place.run(&format!("convert cooke_triplet {file} {how}")).done();
+        let (a, b) = (first("cooke_triplet"), first(file));
+        let factor = b["length_mm"].as_f64().expect("mm") / a["length_mm"].as_f64().expect("mm");
+        let focal = b["effective_focal_length_mm"].as_f64().expect("mm");
+        assert!(
+            if how.contains("scale") { factor == 2.0 } else { (focal - 100.0).abs() < 1e-9 },
+            "{how}: {factor} {focal}"
+        );
+        let [own, scaled] = [&a, &b].map(|l| l["f_number"].as_f64().expect("a number"));
+        assert!((own - scaled).abs() < 1e-9 * own, "{how}: {own} {scaled}");
+    }
+    place.run("convert cooke_triplet no.toml --scale 0").refused(&["--scale", "0", "a positive number"]);
+    assert!(!place.path("no.toml").exists());
     let ran = place.run("convert a.zmx b.seq");
     assert_eq!(ran.code, 0, "{}", ran.err);
     assert!(

@@ -258,6 +258,35 @@ fn stated_fields_are_looked_at() {
     assert!(seen.len() == 5 && seen[4] < 15.0, "{seen:?}");
 }
 
+/// The MTF at frequencies of one's own is that at the same frequencies of another look, in table, arrays and curves over the field.
+#[test]
+fn mtf_is_told_at_frequencies_that_are_asked_for() {
+    let place = Workplace::new();
+    let table = |options: &str| -> Vec<Vec<f64>> {
+        let text = place.run(&format!("mtf cooke_triplet --fields-deg 0,12 {options}")).done();
+        let rows = text.lines().map(|l| l.split_whitespace().filter_map(|v| v.parse().ok()).collect::<Vec<f64>>());
+        rows.filter(|r| r.len() == 5).collect()
+    };
+    // Of rays, then by diffraction; even frequencies to 40 are its multiples.
+    let (asked, even) = (table("--cycles-per-mm 33,17.5,10"), table("--max-cycles-per-mm 40"));
+    assert_eq!(asked.iter().map(|r| r[0]).collect::<Vec<_>>(), [10.0, 17.5, 33.0, 10.0, 17.5, 33.0]);
+    for row in &asked {
+        for other in even.iter().filter(|o| (o[0] - row[0]).abs() < 1e-9) {
+            let near = |of: &[f64]| of[1..].iter().zip(&row[1..]).all(|(a, b)| (a - b).abs() < 2e-4);
+            assert!(even.iter().filter(|o| o[0] == other[0]).any(|o| near(o)), "{row:?}");
+        }
+    }
+    assert_eq!(even.iter().filter(|r| r[0] == 33.0).count(), 2, "the frequencies meet");
+    // Beyond the sensor's Nyquist frequency curves go as far.
+    let json = place.run("mtf cooke_triplet --fields-deg 0 --cycles-per-mm 200,30 --json").done();
+    let json: serde_json::Value = serde_json::from_str(&json).expect("JSON");
+    let points = json["plots"]["mtf"]["series"][0]["points"].as_array().expect("points");
+    assert_eq!(points.last().expect("some")[0], 200.0);
+    let over_field = json["plots"]["mtf_field"]["series"].as_array().expect("series");
+    assert_eq!(over_field[0]["name"], "30/mm T");
+    place.run("mtf cooke_triplet --cycles-per-mm 10,-3").refused(&["--cycles-per-mm", "-3", "0 to 100000"]);
+}
+
 #[test]
 fn bad_input_of_reports_is_named() {
     let place = Workplace::new();

@@ -288,6 +288,7 @@ class Lens:
         max_angle_deg: float | None = None,
         max_cycles_per_mm: float | None = None,
         shift_mm: float | None = None,
+        cycles_per_mm: float | Sequence[float] | NDArray[np.float64] | None = None,
     ) -> dict[str, Any]: ...
     def distortion(self, *, distance_mm: float | None = None, max_angle_deg: float | None = None) -> dict[str, Any]: ...
     def report(

@@ -22,6 +22,9 @@ pub enum Analysis {
     Distortion,
 }
 
+/// Frequencies that may be asked for.
+const MOST_FREQUENCIES: f64 = 100.0;
+
 /// What a look at a lens's rays can be told, unchecked.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Asked {
@@ -33,6 +36,8 @@ pub struct Asked {
     pub max_angle_deg: Option<f64>,
     /// As [`Options::cycles_per_mm`].
     pub max_cycles_per_mm: Option<f64>,
+    /// As [`Options::asked_cycles_per_mm`], in any order.
+    pub cycles_per_mm: Vec<f64>,
     /// As [`Options::shift_mm`].
     pub shift_mm: Option<f64>,
 }
@@ -54,7 +59,15 @@ impl Asked {
     /// # Errors
     /// The first value that is not allowed.
     pub fn options(self, memory: Limit) -> Result<Options, Refused> {
-        let Self { rays, mut fields_deg, max_angle_deg, max_cycles_per_mm, shift_mm } = self;
+        let Self { rays, mut fields_deg, max_angle_deg, max_cycles_per_mm, mut cycles_per_mm, shift_mm } = self;
+        cycles_per_mm
+            .iter()
+            .try_for_each(|f| within("cycles_per_mm", Some(*f), 0.0..=1e5, "0 to 100000").map(|_| ()))?;
+        #[expect(clippy::cast_precision_loss, reason = "a count that is refused where it is large")]
+        let count = cycles_per_mm.len() as f64;
+        within("cycles_per_mm", Some(count), 0.0..=MOST_FREQUENCIES, "up to 100 frequencies")?;
+        cycles_per_mm.sort_by(f64::total_cmp);
+        cycles_per_mm.dedup();
         fields_deg
             .iter()
             .try_for_each(|f| within("fields_deg", Some(*f), 0.0..=120.0, "0 to 120 degrees").map(|_| ()))?;
@@ -70,6 +83,7 @@ impl Asked {
             fields_deg,
             max_angle_deg: within("max_angle_deg", max_angle_deg, 0.0..=120.0, "0 to 120 degrees")?,
             cycles_per_mm: within("max_cycles_per_mm", max_cycles_per_mm, 1e-3..=1e5, "0.001 to 100000")?,
+            asked_cycles_per_mm: cycles_per_mm,
             shift_mm: within("shift_mm", shift_mm, 1e-6..=1e3, "1e-6 to 1000 mm")?,
             shifts: SHIFTS,
             spots: true,

@@ -107,7 +107,7 @@ fn diffraction_over_field(o: &Overview) -> Plot {
 }
 
 fn diffraction_over_focus(o: &Overview) -> Plot {
-    let i = shown(o)[1];
+    let i = middle(o);
     let (series, keys) =
         by_field(o, |f, d| o.shifts_mm.iter().enumerate().map(|(s, z)| [1e3 * z, modulus(f, s, i, d)]).collect());
     let at = o.cycles_per_mm.get(i).copied().unwrap_or(0.0);
@@ -121,8 +121,12 @@ fn diffraction_over_focus(o: &Overview) -> Plot {
     }
 }
 
-/// The index of each shown frequency.
+/// The index of each shown frequency: those that were asked for, or some parts of the highest.
 fn shown(o: &Overview) -> Vec<usize> {
+    let asked = &o.settings.asked_cycles_per_mm;
+    if !asked.is_empty() {
+        return (0..o.cycles_per_mm.len()).filter(|k| asked.contains(&o.cycles_per_mm[*k])).collect();
+    }
     let last = o.cycles_per_mm.len().saturating_sub(1);
     #[expect(
         clippy::cast_precision_loss,
@@ -131,6 +135,12 @@ fn shown(o: &Overview) -> Vec<usize> {
         reason = "a few dozen frequencies"
     )]
     PARTS.iter().map(|p| (p * last as f64).round() as usize).collect()
+}
+
+/// That of the plots over focus.
+fn middle(o: &Overview) -> usize {
+    let shown = shown(o);
+    shown[shown.len() / 2]
 }
 
 fn over_field(o: &Overview) -> Plot {
@@ -151,7 +161,7 @@ fn over_angles(o: &Overview, value: impl Fn(&Field, usize, usize) -> f64) -> Plo
 }
 
 fn over_focus(o: &Overview) -> Plot {
-    let i = shown(o)[1];
+    let i = middle(o);
     let (series, keys) = by_field(o, |f, d| {
         o.shifts_mm.iter().zip(&f.through_focus).map(|(z, v)| [1e3 * z, v.get(i).map_or(f64::NAN, |v| v[d])]).collect()
     });

@@ -1,6 +1,7 @@
 //! Everything about one lens at one object distance: spots, fans, curves, MTF, each with what its sampling leaves open.
 
 mod energy;
+mod frequencies;
 
 use std::time::Instant;
 
@@ -11,7 +12,7 @@ use super::beam::{Beam, Landing, stop_points};
 use super::curves::{FieldRow, ZoneRow, object, over_field, over_zones};
 use super::diffraction::{self, Mtf, Plan, directions};
 use super::fan::{Fans, path, reference, transverse};
-use super::spot::{Spot, best_focus, encircled, geometric_mtf_multiples, joined, radius_of, spot};
+use super::spot::{Spot, best_focus, encircled, joined, radius_of, spot};
 use super::wavefront::Map;
 use super::zernike::{Fit, Order};
 use crate::lens::{Lens, paraxial};
@@ -19,6 +20,7 @@ use crate::trace::{Failure, ObjectPoint, System};
 use isoplanat_base::stop::look;
 
 pub use energy::Energy;
+use frequencies::{Frequencies, even};
 
 /// Points each way of an overlap, at most: blur of more than about 100 cycles has no value, but on the sensor, where it is followed as far as it can
 /// be at every so many frequencies. A fast lens out of focus would take minutes otherwise.
@@ -42,6 +44,8 @@ pub struct Settings {
     pub cycles_per_mm: f64,
     /// Frequencies from 0 to that.
     pub frequencies: u32,
+    /// Frequencies beside them, cycles/mm: the even ones go up to the highest of all.
+    pub asked_cycles_per_mm: Vec<f64>,
     /// Shifts of the image plane to each side.
     pub shifts: u32,
     /// Largest shift, mm; `None` takes what the lens's own foci and depth of focus ask for.
@@ -67,6 +71,7 @@ impl Settings {
             places: 33,
             cycles_per_mm: 0.5 / lens.sensor.pitch_mm(),
             frequencies: 41,
+            asked_cycles_per_mm: Vec::new(),
             shifts: 6,
             shift_mm: None,
             waves: Some((64, 28)),
@@ -166,22 +171,23 @@ impl Overview {
         let start = Instant::now();
         let colours: Vec<(f64, f64)> = lens.wavelengths.shares().collect();
         let primary_nm = lens.wavelengths.primary_nm;
-        let cycles_per_mm: Vec<f64> = even(settings.frequencies, 0.0, settings.cycles_per_mm);
+        let frequencies = Frequencies::new(settings.frequencies, settings.cycles_per_mm, &settings.asked_cycles_per_mm);
+        let cycles_per_mm = frequencies.cycles_per_mm();
         let systems: Vec<System> = colours.iter().map(|(nm, _)| System::new(lens, *nm)).collect();
         let primary = System::new(lens, primary_nm);
         let view = View { lens, settings: &settings, colours: &colours, systems: &systems, primary: &primary };
         let spotted = if settings.spots { &settings.angles_deg[..] } else { &[] };
-        let mut fields: Vec<Field> = spotted.par_iter().map(|angle| view.field(*angle, &cycles_per_mm)).collect();
+        let mut fields: Vec<Field> = spotted.par_iter().map(|angle| view.field(*angle, &frequencies)).collect();
         let f_number = paraxial::first_order(lens, primary_nm).working_f_number;
         let airy_radius = 1.22 * primary_nm * 1e-6 * f_number;
         let largest = settings.shift_mm.unwrap_or_else(|| view.shift(&fields, f_number));
         let steps = i32::try_from(settings.shifts).unwrap_or(6);
         let shifts_mm: Vec<f64> = (-steps..=steps).map(|k| largest * f64::from(k) / f64::from(steps.max(1))).collect();
-        fields.par_iter_mut().for_each(|f| f.through_focus = f.over_focus(&colours, &shifts_mm, &cycles_per_mm));
+        fields.par_iter_mut().for_each(|f| f.through_focus = f.over_focus(&colours, &shifts_mm, &frequencies));
         let spots = start.elapsed().as_secs_f64();
         if let Some((size, terms)) = settings.waves {
-            let (frequencies, focus_mm) = (cycles_per_mm.clone(), shifts_mm.clone());
-            let plan = Plan { directions: Vec::new(), frequencies, focus_mm, most_points: MOST_POINTS };
+            let (cycles, focus_mm) = (cycles_per_mm.clone(), shifts_mm.clone());
+            let plan = Plan { directions: Vec::new(), frequencies: cycles, focus_mm, most_points: MOST_POINTS };
             fields.par_iter_mut().for_each(|f| {
                 let point = object(lens, f.angle_deg);
                 f.map = Map::of_lens(lens, point, primary_nm, size).ok().map(|m| {
@@ -189,7 +195,7 @@ impl Overview {
                     (m, fit)
                 });
                 let plan = Plan { directions: directions(point).to_vec(), ..plan.clone() };
-                f.diffraction = Some(waves_of(lens, point, &plan));
+                f.diffraction = Some(waves_of(lens, point, &plan, &settings.asked_cycles_per_mm));
             });
         }
         if settings.energy {
@@ -206,19 +212,15 @@ impl Overview {
     }
 }
 
-/// `count` even values from `low` to `high`.
-fn even(count: u32, low: f64, high: f64) -> Vec<f64> {
-    (0..count.max(2)).map(|k| low + (high - low) * f64::from(k) / f64::from(count.max(2) - 1)).collect()
-}
-
-/// MTF by diffraction: all of the plan as far as [`MOST_POINTS`] follow, then what is missing in the middle of the shifts at every fourth frequency.
-fn waves_of(lens: &Lens, point: ObjectPoint, plan: &Plan) -> Result<Mtf, diffraction::Fault> {
+/// MTF by diffraction: all of the plan as far as [`MOST_POINTS`] follow, then what is missing in the middle of the shifts at every fourth frequency and at those `asked` for.
+fn waves_of(lens: &Lens, point: ObjectPoint, plan: &Plan, asked: &[f64]) -> Result<Mtf, diffraction::Fault> {
     let pupils = diffraction::pupils(lens, point)?;
     let mut mtf = diffraction::of_pupils(&pupils, plan)?;
     let middle = plan.focus_mm.len() / 2;
     let Some(focus) = plan.focus_mm.get(middle) else { return Ok(mtf) };
     for (curve, direction) in mtf.curves.iter_mut().zip(&plan.directions) {
-        let missing = |k: &usize| k.is_multiple_of(EVERY) && curve.transfer[middle][*k].is_none();
+        let looked_at = |k: usize| k.is_multiple_of(EVERY) || asked.contains(&plan.frequencies[k]);
+        let missing = |k: &usize| looked_at(*k) && curve.transfer[middle][*k].is_none();
         let lost: Vec<usize> = (0..plan.frequencies.len()).filter(missing).collect();
         if lost.is_empty() {
             continue;
@@ -255,7 +257,7 @@ impl View<'_> {
         self.systems.par_iter().map(of).collect()
     }
 
-    fn field(&self, angle_deg: f64, cycles_per_mm: &[f64]) -> Field {
+    fn field(&self, angle_deg: f64, frequencies: &Frequencies) -> Field {
         let of =
             |beams: &[Beam]| joined(beams.iter().zip(self.colours).map(|(b, (_, share))| (&b.landings[..], *share)));
         let (beams, fewer) = (self.beams(angle_deg, self.settings.rays), self.beams(angle_deg, self.settings.rays / 4));
@@ -266,7 +268,7 @@ impl View<'_> {
             value: s.rms,
             change: spot(&quarter, 0.0).map_or(f64::INFINITY, |q| (s.rms - q.rms).abs()),
         });
-        let [mtf, coarse] = [&rays, &quarter].map(|rays| mtf(rays, cycles_per_mm, 0.0));
+        let [mtf, coarse] = [&rays, &quarter].map(|rays| frequencies.mtf(rays, 0.0));
         let differences = mtf.iter().zip(&coarse).flat_map(|(a, b)| [a[0] - b[0], a[1] - b[1]]);
         // Without light there is neither.
         let mtf_change = whole.map_or(f64::NAN, |_| differences.fold(0.0, |m: f64, d| m.max(d.abs())));
@@ -315,16 +317,6 @@ impl View<'_> {
     }
 }
 
-/// Tangential and sagittal geometric MTF at even frequencies from 0; not numbers without light.
-fn mtf(rays: &[Landing], cycles_per_mm: &[f64], dz: f64) -> Vec<Pair> {
-    if rays.is_empty() {
-        return vec![[f64::NAN; 2]; cycles_per_mm.len()];
-    }
-    let step = cycles_per_mm.get(1).copied().unwrap_or_default();
-    let of = |along| geometric_mtf_multiples(rays, along, step, cycles_per_mm.len(), dz);
-    of(DVec2::Y).into_iter().zip(of(DVec2::X)).map(|(tangential, sagittal)| [tangential, sagittal]).collect()
-}
-
 /// Every so many of a curve's points, the ends included.
 fn thinned(points: &[[f64; 2]], every: usize) -> Vec<[f64; 2]> {
     let last = points.len().saturating_sub(1);
@@ -337,9 +329,9 @@ impl Field {
         joined(self.beams.iter().zip(colours).map(|(b, (_, share))| (&b.landings[..], *share)))
     }
 
-    fn over_focus(&self, colours: &[(f64, f64)], shifts_mm: &[f64], cycles_per_mm: &[f64]) -> Vec<Vec<Pair>> {
+    fn over_focus(&self, colours: &[(f64, f64)], shifts_mm: &[f64], frequencies: &Frequencies) -> Vec<Vec<Pair>> {
         let rays = self.rays(colours);
-        shifts_mm.iter().map(|dz| mtf(&rays, cycles_per_mm, *dz)).collect()
+        shifts_mm.iter().map(|dz| frequencies.mtf(&rays, *dz)).collect()
     }
 }
 
