@@ -60,6 +60,7 @@ pub(crate) mod probe;
 pub mod psf_map;
 pub mod renderer;
 pub(crate) mod scene_plan;
+mod shared;
 #[doc(hidden)]
 pub mod source;
 #[doc(hidden)]

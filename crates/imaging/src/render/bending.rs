@@ -7,7 +7,6 @@ use super::choose::{MARGIN, mean_square};
 use super::draft::Draft;
 use super::plan::{Settings, bent, in_cells};
 use super::probe::{Probing, Values};
-use super::source::WarpedScene;
 use super::stands::Candidates;
 use crate::plane::Region;
 use isoplanat_base::error::Result;
@@ -184,13 +183,16 @@ impl Draft<'_> {
         let Ok([bend_mm, path_waves]) = self.light.look_at_bending(lens) else {
             return self.stated(lens, Model::Rays).map(Some);
         };
-        // A sample a cell, the mean of as many points as see every texel.
-        let even = |scene| vec![self.warped(scene, (1, self.first.bin * self.seen()))];
-        let sampled: Vec<Vec<WarpedScene<'_>>> = self.scenes.iter().map(even).collect();
         // As far as most of what bends.
         let bend = bend_mm / self.frame.pitch_mm;
         let far = bent(&self.widths[..1], bend, &[1e-2])[0];
         let half = in_cells(far, self.first.bin).max(self.first.half_width).clamp(2, WIDEST);
+        let around = super::coarse::cells(region, self.first.bin);
+        let count = if path_waves > MANY { FEWER } else { LOOKED_AT };
+        let candidates = self.candidates(around);
+        let stands = candidates.drawn(count);
+        // A sample a cell, the mean of as many points as see every texel.
+        let sampled = self.shared((1, self.first.bin * self.seen()), &stands, half);
         let probing = Probing {
             optics: &self.light,
             colours: &self.light,
@@ -203,10 +205,6 @@ impl Draft<'_> {
             // Rays' own grain is not what is asked for.
             dense: Settings::FINE.dense,
         };
-        let around = super::coarse::cells(region, self.first.bin);
-        let count = if path_waves > MANY { FEWER } else { LOOKED_AT };
-        let candidates = self.candidates(around);
-        let stands = candidates.drawn(count);
         let seen = |off: &[Values]| {
             let (mean, error) = mean_square(&[off]);
             MARGIN * mean + error

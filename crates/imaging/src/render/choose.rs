@@ -162,7 +162,7 @@ impl Measuring<'_, '_> {
     /// samples, and what the finest leaves is told by the one before it.
     fn samples(&self, budget: f64) -> Vec<Rung<usize>> {
         let probing = self.probing;
-        let count = |k: usize| probing.scenes[0][k].samples();
+        let count = |k: usize| probing.scenes[0][k].scene.samples();
         let square = |k: usize| (count(k) as f32).powi(-2);
         let mut values: Vec<Vec<Values>> = vec![self.probes.iter().map(|p| p.coarse.clone()).collect()];
         // Differences of sampling `k` to the last, made those to none at all.

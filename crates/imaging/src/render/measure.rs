@@ -14,9 +14,9 @@ use super::nodes::Nodes;
 use super::plan::{DepthPlan, RenderPlan, Settings, in_cells, quadrature};
 use super::probe::{Probing, Values};
 use super::renderer::Renderer;
-use super::source::WarpedScene;
+use super::shared::Shared;
 use super::stands::{SIDE, Stand};
-use crate::plane::{Plane, Region};
+use crate::plane::Region;
 use crate::render::node_grid::NodeGrid;
 use isoplanat_base::error::Result;
 use isoplanat_optics::lens::Lens;
@@ -76,7 +76,13 @@ impl Draft<'_> {
             Some(_) => count,
             None => count,
         };
-        let sampled: Vec<Vec<WarpedScene<'_>>> = self.scenes.iter().map(|scene| self.sampled(scene, most)).collect();
+        let around = super::coarse::cells(region, first.bin);
+        let stands = match candidates {
+            Some(candidates) => candidates.drawn(count),
+            None => self.candidates(around).drawn(count),
+        };
+        let reach = if bent.is_some() { size.max(first.size()) } else { size } / 2;
+        let sampled = self.sampled(most, &stands, reach);
         let probing = Probing {
             optics: &self.light,
             colours: &self.colours,
@@ -87,11 +93,6 @@ impl Draft<'_> {
             seen: self.seen(),
             size,
             dense: DENSE,
-        };
-        let around = super::coarse::cells(region, first.bin);
-        let stands = match candidates {
-            Some(candidates) => candidates.drawn(count),
-            None => self.candidates(around).drawn(count),
         };
         let probes = probing.probes(&stands);
         let rules: Vec<_> = Settings::WAVELENGTHS
@@ -121,35 +122,70 @@ impl Draft<'_> {
         Ok((cheapest(&found, target, base, &cost(&work)), found))
     }
 
-    /// A scene at every number of samples a pixel up to `most`.
-    pub(super) fn sampled<'s>(&'s self, scene: &'s Plane, most: usize) -> Vec<WarpedScene<'s>> {
-        let of = |m| self.warped(scene, (m, self.first.bin));
-        Settings::SAMPLES.into_iter().filter(|m| *m <= most).map(of).collect()
+    /// By scene, it at every number of samples a pixel up to `most`, for probes at `stands` whose windows reach `reach` cells.
+    fn sampled(&self, most: usize, stands: &[Stand], reach: usize) -> Vec<Vec<Shared<'_>>> {
+        let samples: Vec<usize> = Settings::SAMPLES.into_iter().filter(|m| *m <= most).collect();
+        let mut all: Vec<Vec<Shared<'_>>> = self.scenes.iter().map(|_| Vec::new()).collect();
+        for m in samples {
+            let each = self.shared((m, self.first.bin), stands, reach);
+            all.iter_mut().zip(each).for_each(|(scene, mut one)| scene.append(&mut one));
+        }
+        all
+    }
+
+    /// By scene, it at one sampling, shared by what stands before it.
+    pub(super) fn shared(&self, sampling: (usize, usize), stands: &[Stand], reach: usize) -> Vec<Vec<Shared<'_>>> {
+        let of = |(k, scene)| {
+            let places = stands.iter().filter(|s| s.scene == k).map(|s| s.region);
+            vec![Shared::new(self.warped(scene, sampling), places, reach)]
+        };
+        self.scenes.iter().enumerate().map(of).collect()
     }
 
     /// Differences that cells make: against cells half as large, and a third more for what those lack themselves.
     fn cells(&self, stands: &[Stand], light: &Optics) -> Vec<Values> {
         let (lit, bin) = (&self.needs.channels.lit, self.first.bin);
         let nothing = |s: &Stand| vec![0.0; lit.len() * s.region.rows * s.region.cols];
-        let (Some(mut coarse), Some(mut fine)) = (self.on_cells(bin, light), self.on_cells(bin / 2, light)) else {
-            return stands.iter().map(nothing).collect();
+        let pixels = |stand: &Stand| {
+            let [row, col] = [stand.region.row, stand.region.col].map(|at| at * bin.cast_signed());
+            Region { row, col, rows: SIDE, cols: SIDE }
         };
-        let values = |renderer: &mut Renderer, stand: &Stand| -> Values {
-            let Region { row, col, .. } = stand.region;
-            let depth = &mut renderer.plan.depths[0];
-            let steps = (bin / depth.bin).cast_signed();
-            depth.grid = NodeGrid::single(row * steps, col * steps);
-            let pixels = Region { row: row * bin.cast_signed(), col: col * bin.cast_signed(), rows: SIDE, cols: SIDE };
-            let (image, _) = renderer.picture(&self.scenes[stand.scene], 0, pixels, &Channels::all(), &|_| {});
-            lit.iter().flat_map(|c| image.index_axis(Axis(0), *c).to_owned()).collect()
+        let looked = |stand: &&Stand| (stand.region.rows, stand.region.cols) == (SIDE, SIDE);
+        let channels = Channels::all();
+        // By stand, what cells of a size make there.
+        let values = |placed: &Renderer, mut renderer: Renderer| -> Vec<Values> {
+            let depth = &placed.plan.depths[0];
+            let (own, reach) = (depth.bin, depth.half_width);
+            let sources: Vec<Shared<'_>> = (0..self.scenes.len())
+                .map(|k| {
+                    let seen = stands.iter().filter(looked).filter(|s| s.scene == k);
+                    let places = seen.map(|s| super::coarse::cells(pixels(s), own));
+                    Shared::new(placed.source(&self.scenes[k], 0, &channels), places, reach)
+                })
+                .collect();
+            let steps = (bin / own).cast_signed();
+            let one = |stand: &Stand| {
+                renderer.plan.depths[0].grid = NodeGrid::single(stand.region.row * steps, stand.region.col * steps);
+                let (image, _) =
+                    renderer.picture_of::<f32>(&sources[stand.scene], 0, pixels(stand), &channels, &|_| {});
+                lit.iter().flat_map(|c| image.index_axis(Axis(0), *c).to_owned()).collect()
+            };
+            stands.iter().filter(looked).map(one).collect()
         };
+        let twins = [bin, bin / 2].map(|b| self.on_cells(b, light));
+        let [Some(coarse), Some(fine)] = twins else { return stands.iter().map(nothing).collect() };
+        let [a, b] = [coarse, fine].map(|placed| {
+            let renderer = Renderer::with(placed.optics.clone(), placed.plan.clone());
+            values(&placed, renderer).into_iter()
+        });
+        let mut differences = a.zip(b);
         let of = |stand: &Stand| {
-            if (stand.region.rows, stand.region.cols) != (SIDE, SIDE) {
+            if !looked(&stand) {
                 return nothing(stand);
             }
             #[expect(clippy::cast_possible_truncation, reason = "a factor on values of pixels")]
             let scale = (stand.weight.sqrt() * 4.0 / 3.0) as f32;
-            let (a, b) = (values(&mut coarse, stand), values(&mut fine, stand));
+            let (a, b) = differences.next().unwrap_or_default();
             a.iter().zip(&b).map(|(a, b)| (a - b) * scale).collect()
         };
         stands.iter().map(of).collect()

@@ -7,12 +7,12 @@
 
 use std::collections::HashMap;
 
-use ndarray::{Array2, Array4, ArrayView2, Axis, s};
+use ndarray::{Array2, ArrayView2, Axis, s};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex;
 
 use super::nodes::centre;
-use super::source::WarpedScene;
+use super::shared::Shared;
 use super::stands::Stand;
 use crate::frame::Frame;
 use crate::plane::Region;
@@ -63,7 +63,7 @@ pub(crate) struct Probing<'a> {
     /// Channels of the image.
     pub lit: &'a [usize],
     /// By scene, the scene at each number of samples a pixel (1, 2, 4, …), all of the same channels.
-    pub scenes: &'a [Vec<WarpedScene<'a>>],
+    pub scenes: &'a [Vec<Shared<'a>>],
     /// Samples a pixel that see every texel.
     pub seen: usize,
     /// Kernel size in pixels, odd.
@@ -81,11 +81,10 @@ struct Patch {
 
 impl Patch {
     /// Samples `scene` around `region` as far as a kernel of `size` pixels reaches.
-    fn sample(scene: &WarpedScene<'_>, region: Region, size: usize) -> Self {
-        let m = scene.samples();
+    fn sample(shared: &Shared<'_>, region: Region, size: usize) -> Self {
+        let m = shared.scene.samples();
         let grown = region.grown(size / 2);
-        let mut phases = Array4::<f32>::zeros((scene.channels(), m * m, grown.rows, grown.cols));
-        scene.fill(grown, phases.view_mut());
+        let phases = shared.sample(grown);
         let width = m * grown.cols;
         let planes = phases
             .axis_iter(Axis(0))

@@ -19,7 +19,7 @@ use super::source::{WarpedScene, warp, warp_vjp};
 use crate::frame::Frame;
 use crate::plane::{Plane, Region};
 use crate::render::blur::cost::Task;
-use crate::render::blur::{BlurRecord, Method, blur, blur_recorded, blur_vjp};
+use crate::render::blur::{BlurRecord, Method, Source, blur, blur_recorded, blur_vjp};
 use crate::render::node_grid::NodeGrid;
 use crate::sensor::spectrum::SpectralDensity;
 use isoplanat_base::error::Result;
@@ -140,7 +140,7 @@ impl Renderer {
         task.cheapest()
     }
 
-    fn source<'a>(&'a self, scene: &'a Plane, depth: usize, channels: &Channels) -> WarpedScene<'a> {
+    pub(super) fn source<'a>(&'a self, scene: &'a Plane, depth: usize, channels: &Channels) -> WarpedScene<'a> {
         let d = &self.plan.depths[depth];
         WarpedScene::new(scene, &self.optics.maps[depth], &d.raster, (d.samples, d.bin), channels.of_texture(scene))
     }
@@ -200,6 +200,18 @@ impl Renderer {
         channels: &Channels,
         progress: &(dyn Fn(f64) + Sync),
     ) -> (Array3<T>, Seen) {
+        self.picture_of(&self.source(scene, depth, channels), depth, region, channels, progress)
+    }
+
+    /// The same of what `source` tells of a scene, sampled as [`Self::picture`] samples it.
+    pub(super) fn picture_of<T: Real>(
+        &self,
+        source: &dyn Source<T>,
+        depth: usize,
+        region: Region,
+        channels: &Channels,
+        progress: &(dyn Fn(f64) + Sync),
+    ) -> (Array3<T>, Seen) {
         let mut image = Array3::from_elem((3, region.rows, region.cols), T::zero());
         if channels.lit.is_empty() || region.rows == 0 || region.cols == 0 {
             return (image, Seen::default());
@@ -215,9 +227,8 @@ impl Renderer {
             form: self.form(depth, channels),
             seen: Mutex::default(),
         };
-        let source = self.source(scene, depth, channels);
         let method = self.method(depth, channels, &grid, around);
-        let blurred = blur::<T>(&grid, &kernels, &source, around, method, progress);
+        let blurred = blur::<T>(&grid, &kernels, source, around, method, progress);
         let mut blurred = to_pixels(blurred, region, d.bin);
         self.light.multiply(&self.plan.frame, region, &channels.lit, &mut blurred);
         for (plane, channel) in blurred.outer_iter().zip(&channels.lit) {
