@@ -25,6 +25,7 @@ use isoplanat::report::drawing::lens_svg;
 use isoplanat::report::evaluation::Evaluation;
 use isoplanat::report::measured::{LARGEST, Settings as EdgeSettings};
 use isoplanat::report::table::{numbered, significant};
+use isoplanat::terminal::path_in_line;
 use isoplanat::{Error, Result};
 
 use crate::evaluate::{Judged, Protocol};
@@ -202,7 +203,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             writeln!(out, "{edges}")?;
         }
         comparison.refused().iter().try_for_each(|line| writeln!(out, "{line}"))?;
-        writeln!(out, "{}", args.output.join("comparison.html").display())?;
+        writeln!(out, "{}", path_in_line(&args.output.join("comparison.html")))?;
     }
     if nobody {
         out.flush()?;

@@ -28,6 +28,7 @@ use isoplanat::math::memory::{product, threads};
 use isoplanat::network::{Compute, Reconstructor};
 use isoplanat::report::demo::{DemoReport, LossCurve};
 use isoplanat::report::lens_view::LensView;
+use isoplanat::terminal::path_in_line;
 use isoplanat::{Result, atomic};
 
 use crate::kit;
@@ -97,7 +98,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         "fast renderer against the reference: {:.2} dB in {:.2} s against {:.1} s",
         report.psnr_fast_vs_reference_db, report.seconds_fast, report.seconds_reference
     )?;
-    writeln!(out, "{} in {:.0} s", args.output.join("report.html").display(), report.seconds_total)?;
+    writeln!(out, "{} in {:.0} s", path_in_line(&args.output.join("report.html")), report.seconds_total)?;
     Ok(())
 }
 

@@ -145,8 +145,7 @@ fn start(task: Task, lens: &Lens, file: &str, options: RunOptions<'_>, out: &mut
         prepare_after(part, &first.start, &first.problem.lens, file)?;
         network(part.network.base_width, part.network.inputs, part.seed, Compute::Cpu)?;
     }
-    by_images(&task, options.validate)?;
-    options.validate.map(Textures::photos).transpose()?;
+    judged_on(&task, options.validate)?;
     drop((task.textures()?, task.held_out()?));
     network(parts[0].network.base_width, parts[0].network.inputs, parts[0].seed, device)?;
     stages::make(&task, lens, options.folder, force)?;
@@ -203,22 +202,24 @@ fn go_on(mut ready: Option<Prepared>, options: RunOptions<'_>, out: &mut dyn Wri
     run_to_end(Designing::create_within(task, &prepared, network, textures, folder, held)?, options, out)
 }
 
-/// Refuses to judge a network that a task has none of.
-fn by_images(task: &Task, validate_on: Option<&Path>) -> Result<bool> {
+/// Whether a task's pictures are judged without a network, and the photographs that its result is judged on too.
+///
+/// # Errors
+/// Photographs for a network that the task has none of; a folder without any.
+fn judged_on(task: &Task, validate_on: Option<&Path>) -> Result<(bool, Option<Textures>)> {
     let by_images = task.loss.sensor.is_some();
     if let Some(folder) = validate_on.filter(|_| by_images) {
         let allowed =
             "no --validate for a task with loss.sensor, which has no network; `isoplanat train`, then `evaluate`";
         return Err(Error::bad("--validate", "value", folder.display().to_string(), allowed));
     }
-    Ok(by_images)
+    Ok((by_images, validate_on.map(Textures::photos).transpose()?))
 }
 
 /// Runs a design to its end, and says how it went.
 fn run_to_end(mut designing: Designing, options: RunOptions<'_>, out: &mut dyn Write) -> anyhow::Result<()> {
     let RunOptions { folder, validate: validate_on, json, .. } = options;
-    let by_images = by_images(designing.task(), validate_on)?;
-    let held_out = validate_on.map(Textures::photos).transpose()?;
+    let (by_images, held_out) = judged_on(designing.task(), validate_on)?;
     let bytes = memory::of_design(designing.task())?;
     crate::memory::limit().allow("the design", bytes, INSTEAD)?;
     crate::memory::tell(bytes);
@@ -424,6 +425,7 @@ fn check(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let parts = task.parts(&file)?;
     allowed(&parts[0], &file)?;
     parts.iter().try_for_each(|part| possible(part, &file))?;
+    judged_on(&task, args.validate.as_deref())?;
     let lens = parts[0].lens(crate::glasses::all())?;
     crate::glasses::all_taken()?;
     drawable(args, &lens)?;

@@ -23,7 +23,7 @@ use isoplanat::report::measured::Settings as EdgeSettings;
 use isoplanat::report::paired;
 use isoplanat::report::table::{significant, value};
 use isoplanat::report::verdict::Verdict;
-use isoplanat::terminal::in_line;
+use isoplanat::terminal::{in_line, path_in_line};
 use isoplanat::{Error, Result, atomic};
 
 use crate::output::Common;
@@ -258,7 +258,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         writeln!(out, "no patch of the frame stands in zone {}", list.join(", "))?;
     }
     if let (Some(differences), Some(other)) = (&differences, &args.against) {
-        writeln!(out, "\nreconstructions of {} less those of {}", args.run.display(), other.display())?;
+        writeln!(out, "\nreconstructions of {} less those of {}", path_in_line(&args.run), path_in_line(other))?;
         writeln!(out, "{}", paired::table(differences))?;
     }
     Ok(())

@@ -12,6 +12,7 @@ use isoplanat::design::training::{Status, Training};
 use isoplanat::network::Compute;
 use isoplanat::report::table::numbered;
 use isoplanat::report::verdict::Verdict;
+use isoplanat::terminal::path_in_line;
 use isoplanat::{Error, Result};
 
 use crate::output::Common;
@@ -126,7 +127,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         }
         let without =
             if skipped > 0 { format!(", {skipped} of them without a finite gradient") } else { String::new() };
-        writeln!(out, "{}: network of {steps} steps{without}", args.output.display())?;
+        writeln!(out, "{}: network of {steps} steps{without}", path_in_line(&args.output))?;
     }
     Ok(())
 }

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::io::{Result, Write};
+use std::path::Path;
 
 /// Whether a terminal would do something else than show it: control characters but ends of line and tabs, marks that turn the direction of a text, other ends
 /// of line and paragraph, and what has no width, so that two texts look the same.
@@ -28,6 +29,12 @@ pub fn printable(text: &str) -> Cow<'_, str> {
 /// [`printable`] text within a line: ends of line and tabs are escapes, too. For names, which hold whatever a file or its system lets them.
 pub fn in_line(text: &str) -> Cow<'_, str> {
     escaped(text, |c| steers(c) || c == '\n' || c == '\t')
+}
+
+/// A path [`in_line`].
+#[doc(hidden)]
+pub fn path_in_line(path: &Path) -> String {
+    in_line(&path.display().to_string()).into_owned()
 }
 
 /// The text with characters of some kind as escapes.

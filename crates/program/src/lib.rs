@@ -11,7 +11,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 #[doc(hidden)]
-pub use isoplanat_base::terminal::printable;
+pub use isoplanat_base::terminal::in_line;
 
 /// Says something on stderr; what would steer a terminal is escaped ([`isoplanat_base::terminal`]).
 #[doc(hidden)]
@@ -20,7 +20,7 @@ macro_rules! tell {
     // Where nobody can be told the work goes on.
     ($($words:tt)*) => {{
         use std::io::Write as _;
-        let _ = writeln!(std::io::stderr(), "{}", $crate::printable(&format!($($words)*)));
+        let _ = writeln!(std::io::stderr(), "{}", $crate::in_line(&format!($($words)*)));
     }};
 }
 
