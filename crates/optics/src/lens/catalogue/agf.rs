@@ -1,6 +1,7 @@
 //! AGF catalogues: a glass is a line `NM name formula code n_d V_d exclude status …`, with its coefficients in `CD` and its range in `LD` (µm).
 //!
-//! A glass without its coefficients would be one of index 1, and of two lines of them one is another glass's: both are refused.
+//! A glass without its coefficients would be one of index 1, and of two lines of them one is another glass's: both are refused. One whose coefficients make another index than its
+//! line states is in the catalogue, and refused where a lens names it.
 
 use super::{Entry, finite, glass};
 use crate::lens::dispersion::Formula;
@@ -22,8 +23,17 @@ struct Glass<'a> {
     formula: std::result::Result<(Formula, usize), String>,
     coefficients: Option<Vec<f64>>,
     range_um: Option<[f64; 2]>,
+    /// Its index at the d line, where the catalogue states one.
+    n_d: Option<f64>,
     obsolete: bool,
 }
+
+/// How far an index may be from the one that the catalogue states: catalogues of infrared glasses have 1 there, others round, or mean another melt.
+const NEAR: f64 = 0.02;
+/// The d line, nm.
+const HELIUM_NM: f64 = 587.5618;
+/// Indices that a glass may have at the d line.
+const STATED: std::ops::Range<f64> = 1.25..3.0;
 
 impl Glass<'_> {
     fn entry(self, file: &str) -> Result<Entry> {
@@ -37,7 +47,14 @@ impl Glass<'_> {
             let mut coefficients = self.coefficients.unwrap_or_default();
             // What stands behind a formula's own coefficients is nought, and trailing noughts may be left out.
             coefficients.resize(count, 0.0);
-            glass(self.name, file, formula, coefficients, range.map(|um| um * 1e3))
+            let medium = glass(self.name, file, formula, coefficients, range.map(|um| um * 1e3))?;
+            let stated = self.n_d.filter(|n| STATED.contains(n) && (range[0]..=range[1]).contains(&(HELIUM_NM * 1e-3)));
+            match stated.map(|n_d| (n_d, medium.index(HELIUM_NM))) {
+                Some((n_d, index)) if (index - n_d).abs().is_nan() || (index - n_d).abs() > NEAR => {
+                    Err(format!("coefficients that make its n_d {index:.4}, where the line says {n_d}"))
+                }
+                _ => Ok(medium),
+            }
         });
         Ok(Entry { name: self.name.to_owned(), medium, obsolete: self.obsolete })
     }
@@ -84,9 +101,10 @@ pub(super) fn read(text: &str, file: &str) -> Result<Vec<Entry>> {
                     return Err(refuse(&found, "a whole number from 1 to 13"));
                 }
                 // Behind the formula: six digits, n_d, V_d, a flag, the status, of which 2 is a type that is no longer made.
-                let obsolete = words.nth(4).and_then(|w| w.parse::<f64>().ok()) == Some(2.0);
+                let n_d = words.nth(1).and_then(|w| w.parse::<f64>().ok());
+                let obsolete = words.nth(2).and_then(|w| w.parse::<f64>().ok()) == Some(2.0);
                 let formula = formula(number);
-                let next = Glass { line: i + 1, name, formula, coefficients: None, range_um: None, obsolete };
+                let next = Glass { line: i + 1, name, formula, coefficients: None, range_um: None, n_d, obsolete };
                 entries.extend(open.replace(next).map(|g| g.entry(file)).transpose()?);
             }
             ("CD", Some(glass)) => {
