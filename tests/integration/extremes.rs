@@ -319,3 +319,15 @@ fn a_pupil_at_infinity_has_the_spots_of_its_rays() {
     let expected = 49.043_002 * (0.05f64.asin()).tan();
     assert!((stop / expected - 1.0).abs() < 1e-6, "{stop} for {expected}");
 }
+
+/// What a picture cannot be planned for in seconds is refused: kernels far wider than any frame.
+#[test]
+fn kernels_wider_than_any_frame_are_refused() {
+    let place = Workplace::new();
+    for number in ["1e4", "1e5"] {
+        let render =
+            format!("render cooke_triplet text -o a.png --columns 384 --rows 256 --pitch-um 10 --f-number {number}");
+        place.run(&render).refused(&["cooke_triplet", "blur", "pixels wide", "at most 12288 pixels"]);
+    }
+    assert!(place.files().is_empty());
+}

@@ -30,8 +30,10 @@ const LOOK: usize = 2000;
 const COARSEST: usize = 64;
 /// How many `λ/NA` a window follows light that diffraction bends: 0.5 % of a perfect lens's lies beyond.
 const FARTHEST: f64 = 20.0;
-/// Half-widths in the coarsest cells, at most, over those wished for.
+/// Half-widths in the coarsest cells, at most, over those wished for; and in pixels: a plan samples all that a kernel sees, pixel by pixel, a few times, which takes
+/// seconds then.
 const WIDEST: usize = 4;
+const WIDEST_PX: usize = 6144;
 
 /// How finely each approximation is made.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -290,10 +292,10 @@ pub(super) fn unplaced(
 ) -> Result<DepthPlan> {
     let vergence = optics.spec.vergences[depth];
     let bin = bin_of(half, settings.cells);
-    if half.div_ceil(bin) > WIDEST * settings.cells {
+    let widest = (WIDEST * settings.cells * COARSEST).min(WIDEST_PX);
+    if half > widest {
         let found = format!("{} pixels wide at {} mm", 2 * half + 1, vergence.recip());
-        let allowed =
-            format!("at most {} pixels; larger pixels or another distance", 2 * WIDEST * settings.cells * COARSEST);
+        let allowed = format!("at most {} pixels; larger pixels, a smaller f-number or another distance", 2 * widest);
         return Err(isoplanat_base::error::Error::bad("", "blur", found, allowed));
     }
     let samples = if bin == 1 { settings.samples } else { 1 };
