@@ -58,17 +58,22 @@ mod tests {
 
     const NM: f64 = 520.0;
 
+    /// One ray near the axis, and one near the rim, where high powers act.
+    fn rays() -> [Ray; 2] {
+        let near = Ray { origin: DVec3::new(1.3, 2.1, -5.0), direction: DVec3::new(0.03, -0.05, 1.0).normalize() };
+        let rim = Ray { origin: DVec3::new(5.6, -9.3, -5.0), direction: DVec3::new(-0.01, 0.02, 1.0).normalize() };
+        [near, rim]
+    }
+
     /// Landing, optical path and size of the stop, weighted.
-    fn value(lens: &Lens) -> f64 {
+    fn value(lens: &Lens, ray: Ray) -> f64 {
         let system = System::new(lens, NM);
-        let ray = Ray { origin: DVec3::new(1.3, 2.1, -5.0), direction: DVec3::new(0.03, -0.05, 1.0).normalize() };
         let hit = trace(&system, ray, system.image(), &mut Vec::new()).expect("arrives");
         hit.at.point.dot(DVec3::new(0.7, -1.1, 0.0)) + 0.3 * hit.optical_path + 0.6 * paraxial::stop_semi_diameter(lens)
     }
 
-    fn pulled(lens: &Lens) -> LensGradient {
+    fn pulled(lens: &Lens, ray: Ray) -> LensGradient {
         let (system, mut hits, mut gradient) = (System::new(lens, NM), Vec::new(), LensGradient::zeros(lens));
-        let ray = Ray { origin: DVec3::new(1.3, 2.1, -5.0), direction: DVec3::new(0.03, -0.05, 1.0).normalize() };
         trace(&system, ray, system.image(), &mut hits).expect("arrives");
         let mut g = SystemGradient::zeros(&system);
         let mut bars = vec![HitBar::default(); system.image() + 1];
@@ -83,17 +88,19 @@ mod tests {
     #[test]
     fn every_kind_of_number_pulls_back() {
         let mut seen = Vec::new();
-        for lens in every_kind() {
-            let gradient = pulled(&lens);
-            for p in Parameter::all(&lens) {
-                let variables = Variables::new(&lens, vec![p]);
-                let x = variables.values(&lens)[0];
-                let at = |h: f64| value(&unchecked(&lens, |l| variables.put(l, &[x + h])));
-                let numeric = central_difference(at, 1e-3);
-                let found = variables.gradient(&gradient)[0];
-                assert_rel(found, numeric, 1e-8, 1e-3, &p.name(&lens));
-                if found != 0.0 {
-                    seen.push(p.kind);
+        for lens in every_kind().all() {
+            for ray in rays() {
+                let gradient = pulled(&lens, ray);
+                for p in Parameter::all(&lens) {
+                    let variables = Variables::new(&lens, vec![p]);
+                    let x = variables.values(&lens)[0];
+                    let at = |h: f64| value(&unchecked(&lens, |l| variables.put(l, &[x + h])), ray);
+                    let numeric = central_difference(at, 1e-3);
+                    let found = variables.gradient(&gradient)[0];
+                    assert_rel(found, numeric, 1e-8, 5e-3, &p.name(&lens));
+                    if found != 0.0 {
+                        seen.push(p.kind);
+                    }
                 }
             }
         }
