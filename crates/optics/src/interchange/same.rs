@@ -124,7 +124,7 @@ fn forms(a: &Shape, b: &Shape, radius: f64) -> Option<[String; 2]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::interchange::text_of;
+    use crate::interchange::{parse, text_of};
     use crate::lens::catalogue::Glasses;
     use crate::lens::test_lenses::{every_kind, forms, numbers, with_number};
     use crate::lens::variables::Variables;
@@ -181,7 +181,11 @@ mod tests {
         for (name, lens) in shipped.into_iter().chain(tests).chain(every_kind().alone) {
             for (form, count) in [Form::Zmx, Form::Seq].into_iter().zip(&mut written) {
                 match text_of(&lens, form, Glasses::shipped()) {
-                    Ok(_) => *count += 1,
+                    Ok((text, _)) => {
+                        let read = parse(&text, form, "", Glasses::shipped()).expect("what was written").lens;
+                        require(&lens, &read, form).expect(name);
+                        *count += 1;
+                    }
                     Err(e) => assert!(!e.to_string().contains("would be read as"), "{name}: {e}"),
                 }
             }

@@ -53,8 +53,9 @@ mod tests {
     use crate::lens::test_lenses::every_kind;
     use crate::lens::{Kind, Parameter, paraxial, unchecked};
     use crate::trace::Ray;
+    use crate::trace::precise::{derivative, reference};
     use crate::trace::sequential::trace;
-    use isoplanat_base::testing::{assert_rel, central_difference};
+    use isoplanat_base::testing::{assert_abs, assert_rel, central_difference};
 
     const NM: f64 = 520.0;
 
@@ -107,5 +108,37 @@ mod tests {
         // Rays are not clipped here: clear semi-diameters have their test where light is counted.
         let idle: Vec<Kind> = Kind::ALL.into_iter().filter(|k| !seen.contains(k)).collect();
         assert_eq!(idle, [Kind::SemiDiameter]);
+    }
+
+    /// Rays meet every form where it stands, and the loop in double-double has all of its numbers: its differences are the adjoint's.
+    #[test]
+    fn every_form_is_met_and_moved_in_double_double() {
+        let mut moved = Vec::new();
+        for lens in every_kind().all() {
+            let (system, columns) = (System::new(&lens, NM), columns(&lens));
+            for ray in rays() {
+                let mut hits = Vec::new();
+                trace(&system, ray, system.image(), &mut hits).expect("arrives");
+                for (hit, surface) in hits.iter().zip(&system.surfaces) {
+                    let [x, y, z] = hit.at.point.to_array();
+                    assert_abs(surface.shape.at(x, y).expect("inside").h, z, 1e-13, "on the surface");
+                }
+                let (landed, _) = reference(&system, ray, &hits).expect("arrives");
+                let off = (landed - hits[system.image()].at.point).truncate().length();
+                assert!(off < 1e-12, "{}: {off:e}", lens.name);
+                for (column, found) in columns.iter().zip(gradient(&lens, &system, &hits, &columns)) {
+                    let h = 1e-10 * column.scale;
+                    let Some(exact) = derivative(&lens, &system, ray, &hits, column.number, h) else { continue };
+                    for (found, exact) in found.into_iter().zip(exact) {
+                        assert_rel(found * column.scale, exact * column.scale, 1e-10, 1e-3, &column.name);
+                    }
+                    if let Number::Of(p) = column.number {
+                        moved.push(p.kind);
+                    }
+                }
+            }
+        }
+        let of_shapes = Kind::ALL.into_iter().filter(|kind| kind.is_shape() && kind.is_free());
+        assert_eq!(of_shapes.filter(|kind| !moved.contains(kind)).collect::<Vec<_>>(), []);
     }
 }
