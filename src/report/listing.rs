@@ -11,7 +11,7 @@ use super::table::{Table, numbered, significant};
 use isoplanat_base::terminal::{cut, in_line};
 use isoplanat_optics::lens::paraxial::{FirstOrder, field_origin, first_order};
 use isoplanat_optics::lens::seidel::{self, Seidel};
-use isoplanat_optics::lens::{Aperture, Lens, Medium, SensorRaster, Surface};
+use isoplanat_optics::lens::{Aperture, Lens, Medium, SensorRaster, Shape, Surface};
 
 /// What `isoplanat inspect` shows.
 #[derive(Clone, Debug)]
@@ -110,18 +110,20 @@ const SURFACES: [Column<Row>; 14] = [
 
 /// What a surface is beside its radius.
 fn form(s: &Surface, stop: bool) -> String {
-    let (shape, mut form) = (&s.shape, Vec::new());
+    let mut form = Vec::new();
     if stop {
         form.push("stop".to_owned());
     }
-    if shape.conic != 0.0 {
-        form.push(format!("conic {}", significant(shape.conic, 6)));
+    // The radius has its column; the terms of r are `Shape::terms`.
+    let Shape { curvature: _, conic, asphere: _, odd: _, zernike, xy, ideal } = &s.shape;
+    if *conic != 0.0 {
+        form.push(format!("conic {}", significant(*conic, 6)));
     }
-    let terms = shape.terms().filter(|(_, a)| *a != 0.0);
+    let terms = s.shape.terms().filter(|(_, a)| *a != 0.0);
     form.extend(terms.map(|(power, a)| format!("a{power} {}", significant(a, 5))));
-    form.extend(shape.zernike.as_ref().map(|z| format!("{} Zernike terms", z.terms().len())));
-    form.extend(shape.xy.as_ref().map(|p| format!("{} xy terms", p.terms().len())));
-    form.extend(shape.ideal.map(|f| format!("ideal lens of {} mm", significant(f, 7))));
+    form.extend(zernike.as_ref().map(|z| format!("{} Zernike terms", z.terms().len())));
+    form.extend(xy.as_ref().map(|p| format!("{} xy terms", p.terms().len())));
+    form.extend(ideal.map(|f| format!("ideal lens of {} mm", significant(f, 7))));
     form.extend(s.pose.filter(|p| !p.is_nominal()).map(|_| "displaced".to_owned()));
     form.join(", ")
 }
@@ -211,29 +213,32 @@ impl<'a> Listing<'a> {
 
     /// Surfaces, counted from 0.
     fn rows(&self) -> Vec<Row> {
-        let row = |(number, (s, seidel_mm)): (usize, (&Surface, &Seidel))| Row {
-            number,
-            form: form(s, number == self.lens.stop),
-            stop: number == self.lens.stop,
-            curvature_per_mm: s.shape.curvature,
-            radius_mm: 1.0 / (s.shape.curvature + 0.0),
-            conic: s.shape.conic,
-            asphere: s.shape.asphere.clone(),
-            odd: s.shape.odd.clone(),
-            zernike: s.shape.zernike.as_ref().map(|z| Terms { radius_mm: z.radius(), terms: z.terms().to_vec() }),
-            xy: s.shape.xy.as_ref().map(|p| Terms {
-                radius_mm: p.radius(),
-                terms: p.orders().iter().zip(p.terms()).map(|((i, j), c)| (format!("x{i}y{j}"), *c)).collect(),
-            }),
-            ideal_focal_length_mm: s.shape.ideal,
-            thickness_mm: s.thickness,
-            medium: s.medium.to_string(),
-            medium_source: s.medium.source(),
-            index: s.medium.index(self.wavelength_nm),
-            semi_diameter_mm: s.semi_diameter,
-            tilt_deg: s.pose.map(|p| p.tilt.map(f64::to_degrees)),
-            decentre_mm: s.pose.map(|p| p.decentre),
-            seidel_mm: *seidel_mm,
+        let row = |(number, (s, seidel_mm)): (usize, (&Surface, &Seidel))| {
+            let Shape { curvature, conic, asphere, odd, zernike, xy, ideal } = &s.shape;
+            Row {
+                number,
+                form: form(s, number == self.lens.stop),
+                stop: number == self.lens.stop,
+                curvature_per_mm: *curvature,
+                radius_mm: 1.0 / (curvature + 0.0),
+                conic: *conic,
+                asphere: asphere.clone(),
+                odd: odd.clone(),
+                zernike: zernike.as_ref().map(|z| Terms { radius_mm: z.radius(), terms: z.terms().to_vec() }),
+                xy: xy.as_ref().map(|p| Terms {
+                    radius_mm: p.radius(),
+                    terms: p.orders().iter().zip(p.terms()).map(|((i, j), c)| (format!("x{i}y{j}"), *c)).collect(),
+                }),
+                ideal_focal_length_mm: *ideal,
+                thickness_mm: s.thickness,
+                medium: s.medium.to_string(),
+                medium_source: s.medium.source(),
+                index: s.medium.index(self.wavelength_nm),
+                semi_diameter_mm: s.semi_diameter,
+                tilt_deg: s.pose.map(|p| p.tilt.map(f64::to_degrees)),
+                decentre_mm: s.pose.map(|p| p.decentre),
+                seidel_mm: *seidel_mm,
+            }
         };
         self.lens.surfaces.iter().zip(&self.seidel).enumerate().map(row).collect()
     }

@@ -48,7 +48,25 @@ fn pose(v: &Value) -> Option<Pose> {
     })
 }
 
+/// What the schema of `tests/reference/README.md` lets a surface state.
+const SURFACE: [&str; 11] = [
+    "curvature",
+    "conic",
+    "thickness",
+    "index_after",
+    "semi_diameter",
+    "stop",
+    "asphere",
+    "zernike",
+    "xy",
+    "tilt_deg",
+    "decentre_mm",
+];
+
 fn shape(s: &Value) -> Shape {
+    // A form that this reader does not know is not the reference's surface.
+    let unknown = s.as_object().into_iter().flatten().map(|(key, _)| key).find(|key| !SURFACE.contains(&key.as_str()));
+    assert_eq!(unknown, None, "a key of a surface that this reader does not know");
     let mut shape = Shape { curvature: number(&s["curvature"]), conic: number(&s["conic"]), ..Shape::default() };
     if let Some(terms) = s.get("asphere").and_then(Value::as_object) {
         for (key, value) in terms {
@@ -122,6 +140,13 @@ struct Worst {
     gradient: f64,
     allowed: f64,
     evaluations: u32,
+}
+
+/// A surface with a key that the reader does not know is refused, not read without it.
+#[test]
+#[should_panic(expected = "does not know")]
+fn stiff_surfaces_of_unknown_forms_are_refused() {
+    shape(&serde_json::json!({ "curvature": 0.1, "conic": 0.0, "superconic": { "s4": 1.0 } }));
 }
 
 /// Outcome by outcome, number by number.

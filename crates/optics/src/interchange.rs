@@ -18,6 +18,7 @@ mod line_glass;
 mod media;
 mod order;
 mod own;
+mod same;
 mod seq;
 mod solve;
 mod start;
@@ -174,10 +175,11 @@ pub fn parse_as(text: &str, form: Form, file: &str, glasses: &Glasses, reading: 
 /// ```
 ///
 /// # Errors
-/// What the form cannot say: freeforms, tilts, a glass without a catalogue, numbers that its reader refuses.
+/// What the form cannot say: freeforms, tilts, a glass without a catalogue, numbers that its reader refuses or takes for others.
 pub fn text_of(lens: &Lens, form: Form, glasses: &Glasses) -> Result<(String, Vec<String>)> {
+    // Read again and compared: no file is written that says less, or another lens.
     let readable = |(text, notes): (String, Vec<String>)| match parse(&text, form, "", glasses) {
-        Ok(_) => Ok((text, notes)),
+        Ok(read) => same::require(lens, &read.lens, form).map(|()| (text, notes)),
         Err(e) => Err(Error::bad(
             lens.file(),
             "form",

@@ -11,9 +11,9 @@ const ROWS: u32 = 201;
 /// Powers of aspheric terms with a column in every file; a lens that states higher ones has more columns, up to [`HIGHEST_POWER`].
 const POWERS: std::ops::RangeInclusive<usize> = 2..=20;
 
-/// The coefficient of `r^power`.
+/// The coefficient of `r^power`: the sum of all terms of that power.
 fn coefficient(shape: &Shape, power: usize) -> f64 {
-    shape.terms().find(|term| term.0 == power).map_or(0.0, |term| term.1)
+    shape.terms().filter(|term| term.0 == power).map(|term| term.1).reduce(|sum, a| sum + a).unwrap_or(0.0)
 }
 
 /// One row a surface, those that are no face (a stop in air) with what they have.

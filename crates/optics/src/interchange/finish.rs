@@ -8,7 +8,7 @@ use super::{Imported, Reading, order, solve, start};
 use crate::lens::catalogue::Glasses;
 use crate::lens::check::{MAX_FIELD_POINTS, check_surface};
 use crate::lens::{
-    Aperture, Field, Lens, Medium, Prescription, SensorRaster, Surface, Wavelengths, clearance, paraxial,
+    Aperture, Field, Lens, Medium, Prescription, SensorRaster, Shape, Surface, Wavelengths, clearance, paraxial,
 };
 use crate::trace::apertures::{self, Beam, Reached};
 use isoplanat_base::error::{Error, Location, Result};
@@ -201,11 +201,13 @@ fn surface(
         stage.medium.resolve_told(glasses, catalogues).map_err(|e| e.within(&stage.place).in_file(file))?;
     notes.extend(told.map(|told| format!("{}: {told}", stage.place)));
     let mut shape = stage.shape.clone();
-    let plain = [shape.curvature, shape.conic, stage.thickness];
-    if let Some(x) = plain.iter().chain(&shape.asphere).chain(&shape.odd).find(|x| !x.is_finite()) {
+    // No reader makes freeforms; whatever a form has, the check of numbers asks for.
+    let Shape { curvature, conic, asphere, odd, zernike: _, xy: _, ideal: _ } = &mut shape;
+    let plain = [*curvature, *conic, stage.thickness];
+    if let Some(x) = plain.iter().chain(&*asphere).chain(&*odd).find(|x| !x.is_finite()) {
         return Err(Error::bad(file, &stage.place, x.to_string(), "finite numbers"));
     }
-    (shape.asphere, shape.odd) = (trimmed(&shape.asphere), trimmed(&shape.odd));
+    (*asphere, *odd) = (trimmed(asphere), trimmed(odd));
     shape.refresh();
     let semi_diameter = stage.semi_diameter.or(stage.computed).unwrap_or(1.0);
     Ok(Surface { shape, thickness: stage.thickness, medium, semi_diameter, pose: None })

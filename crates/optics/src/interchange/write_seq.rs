@@ -19,7 +19,8 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
     let mut body = String::new();
     for (i, s) in lens.surfaces.iter().enumerate() {
         let medium = medium(lens, &s.medium, glasses, &mut private);
-        // `on_one_axis` has refused what is not symmetric.
+        // `on_one_axis` has refused what is not symmetric, and nothing else. A rotational form is written here or refused here by name; one
+        // that is left out is refused when the text is read again (`same.rs`).
         let Shape { curvature, conic, asphere, odd, zernike: _, xy: _, ideal } = &s.shape;
         if let Some(f) = ideal {
             let place = Location::surface(i).key("ideal_focal_length_mm");

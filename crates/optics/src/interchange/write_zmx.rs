@@ -145,7 +145,8 @@ fn surface(
     if i == lens.stop {
         out.push_str("  STOP\n");
     }
-    // `on_one_axis` has refused what is not symmetric.
+    // `on_one_axis` has refused what is not symmetric, and nothing else. A rotational form is written here or refused here by name; one
+    // that is left out is refused when the text is read again (`same.rs`).
     let Shape { curvature, conic, asphere, odd: odd_terms, zernike: _, xy: _, ideal } = &s.shape;
     let used = |terms: &[f64]| terms.iter().rposition(|a| *a != 0.0).map_or(0, |last| last + 1);
     let (even, odd) = (used(asphere), used(odd_terms));

@@ -217,10 +217,10 @@ pub(crate) fn check_surface(s: &Surface, surface: usize, file: &str) -> Result<(
         let allowed = format!("at most the conic's reach of {:.6} mm", shape.reach());
         return Err(Error::bad(file, place("semi_diameter_mm"), semi_diameter.to_string(), allowed));
     }
-    // Polynomial terms that no surface has within its clear semi-diameter: their search would not end in sensible time, or their
-    // derivatives would leave the numbers.
-    let radii =
-        [("zernike", shape.zernike.as_ref().map(|z| z.radius())), ("xy", shape.xy.as_ref().map(|p| p.radius()))];
+    // Terms that no surface has within its clear semi-diameter: their search would not end in sensible time, or their derivatives
+    // would leave the numbers. Every field is named: one that has a radius is looked at here, one that has terms is named below.
+    let Shape { curvature: _, conic: _, asphere: _, odd: _, zernike, xy, ideal: _ } = shape;
+    let radii = [("zernike", zernike.as_ref().map(|z| z.radius())), ("xy", xy.as_ref().map(|p| p.radius()))];
     let [least, most] = [semi_diameter / RADII, semi_diameter * RADII];
     for (key, radius) in radii {
         if let Some(r) = radius.filter(|r| !(least..=most).contains(r)) {

@@ -51,8 +51,6 @@ struct Line {
     scale: fn(&Prescription, Parameter) -> f64,
     /// Whether it is a variable of a design.
     free: bool,
-    /// Whether it changes sign where the surface is met from the other side: what sag is proportional to does; ratios and focal lengths do not.
-    turns: bool,
 }
 
 /// What has the numbers of a lens: the lens itself, or its gradient.
@@ -110,11 +108,6 @@ impl Kind {
     /// Whether it is a variable of a design.
     pub(crate) fn is_free(self) -> bool {
         self.line().free
-    }
-
-    /// Whether it changes sign where its surface is met from the other side.
-    pub(super) fn turns(self) -> bool {
-        self.line().turns
     }
 
     fn place(self, of: usize) -> Location {
@@ -247,7 +240,7 @@ mod tests {
 
     #[test]
     fn names_are_those_of_the_file_and_unique() {
-        let [lens, ..] = every_kind();
+        let lens = every_kind().together;
         let names: Vec<String> = Parameter::all(&lens).map(|p| p.name(&lens)).collect();
         for name in [
             "surface[0].curvature",
@@ -270,7 +263,7 @@ mod tests {
     /// Whatever is not a number is refused, whichever number it is, with its place in the file; so is it as a variable.
     #[test]
     fn no_number_may_be_nan() {
-        for lens in every_kind() {
+        for lens in every_kind().all() {
             for p in Parameter::all(&lens) {
                 let bad = lens.changed(|l| p.kind.list_mut(l, p.of)[p.entry] = f64::NAN);
                 let error = bad.expect_err("not a number").to_string();
@@ -283,7 +276,7 @@ mod tests {
     /// Sums go number by number, and zeros leave none out.
     #[test]
     fn gradients_add_every_number() {
-        let [_, lens, ..] = every_kind();
+        let lens = every_kind().catalogue;
         let mut sum = LensGradient::zeros(&lens);
         assert!(Parameter::all(&lens).all(|p| p.value(&sum) == Some(0.0)));
         let mut other = sum.clone();

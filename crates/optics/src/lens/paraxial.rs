@@ -436,7 +436,7 @@ mod tests {
     /// behind it by; and its adjoint against differences of every number.
     #[test]
     fn conjugates_vjp_agrees_with_differences() {
-        let [.., lens] = crate::lens::test_lenses::every_kind();
+        let lens = crate::lens::test_lenses::every_kind().ideal;
         let gel = super::super::Medium::Table { wavelength_nm: vec![440.0, 680.0], index: vec![1.11, 1.1] };
         let near = lens.changed(|l| (l.object_vergence, l.object_medium) = (1.0 / 400.0, gel));
         let lens = near.expect("a lens");

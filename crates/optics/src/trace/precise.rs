@@ -12,6 +12,7 @@ use twofloat::TwoFloat;
 
 use super::sequential::Hit;
 use super::{Ray, System};
+use crate::lens::freeform::Polynomial;
 use crate::lens::{Kind, Lens, Parameter, Pose, Shape};
 
 /// What a trace needs of its numbers.
@@ -109,6 +110,9 @@ type Vec3<S> = [S; 3];
 /// Powers of x and y, coefficient.
 type Monomial<S> = (usize, usize, S);
 
+/// Radius and monomials of freeform terms.
+type Freeform<S> = (S, Vec<Monomial<S>>);
+
 /// One surface in arithmetic `S`.
 #[derive(Clone)]
 struct PreciseSurface<S> {
@@ -116,8 +120,8 @@ struct PreciseSurface<S> {
     conic: S,
     even: Vec<S>,
     odd: Vec<S>,
-    /// Radius and monomials of Zernike and xy terms.
-    freeform: Vec<(S, Vec<Monomial<S>>)>,
+    zernike: Option<Freeform<S>>,
+    xy: Option<Freeform<S>>,
     distance: S,
     indices: [S; 2],
     /// Focal length of an ideal lens, and [`crate::trace::system::TraceSurface::conjugate`].
@@ -163,17 +167,16 @@ impl<S: Scalar> PreciseSystem<S> {
             .iter()
             .map(|s| {
                 let Shape { curvature, conic, asphere, odd, zernike, xy, ideal } = &s.shape;
-                let freeform = [zernike.as_ref().map(|z| z.polynomial()), xy.as_ref().map(|p| p.polynomial())];
+                let freeform = |p: &Polynomial| {
+                    (S::of(p.radius()), p.terms().iter().map(|(i, j, c)| (*i, *j, S::of(*c))).collect())
+                };
                 PreciseSurface {
                     curvature: S::of(*curvature),
                     conic: S::of(*conic),
                     even: of(asphere),
                     odd: of(odd),
-                    freeform: freeform
-                        .into_iter()
-                        .flatten()
-                        .map(|p| (S::of(p.radius()), p.terms().iter().map(|(i, j, c)| (*i, *j, S::of(*c))).collect()))
-                        .collect(),
+                    zernike: zernike.as_ref().map(|z| freeform(z.polynomial())),
+                    xy: xy.as_ref().map(|p| freeform(p.polynomial())),
                     distance: S::of(s.distance),
                     indices: [S::of(s.index_before), S::of(s.index_after)],
                     ideal: ideal.map(|f| [f, s.conjugate].map(S::of)),
@@ -212,8 +215,10 @@ impl<S: Scalar> PreciseSystem<S> {
                 Kind::Thickness if lens.elements.iter().any(|e| e.first <= i && i < e.last) => return false,
                 Kind::Thickness => add(&mut self.surfaces[i + 1].distance),
                 Kind::Zernike => {
-                    let Some(z) = &lens.surfaces[i].shape.zernike else { return false };
-                    let (_, terms) = &mut self.surfaces[i].freeform[0];
+                    let (Some(z), Some((_, terms))) = (&lens.surfaces[i].shape.zernike, &mut self.surfaces[i].zernike)
+                    else {
+                        return false;
+                    };
                     for (a, b, c) in z.monomials(entry) {
                         match terms.iter_mut().find(|t| (t.0, t.1) == (*a, *b)) {
                             Some(term) => term.2 = term.2 + h * S::of(*c),
@@ -222,7 +227,7 @@ impl<S: Scalar> PreciseSystem<S> {
                     }
                 }
                 Kind::Xy => {
-                    let Some((_, terms)) = self.surfaces[i].freeform.last_mut() else { return false };
+                    let Some((_, terms)) = &mut self.surfaces[i].xy else { return false };
                     add(&mut terms[entry].2);
                 }
                 Kind::Decentre if !in_element(lens, i) => {
@@ -235,7 +240,22 @@ impl<S: Scalar> PreciseSystem<S> {
                     };
                     motion.0 = tilted(pose, entry, h);
                 }
-                _ => return false,
+                // Poses of and within elements, glass, and what no design moves.
+                Kind::Decentre
+                | Kind::Tilt
+                | Kind::ElementTilt
+                | Kind::ElementDecentre
+                | Kind::Pivot
+                | Kind::IdealFocalLength
+                | Kind::Index
+                | Kind::Abbe
+                | Kind::Dispersion
+                | Kind::Tabulated
+                | Kind::SemiDiameter
+                | Kind::EntrancePupilDiameter
+                | Kind::FNumber
+                | Kind::StopSemiDiameter
+                | Kind::ObjectNa => return false,
             },
         }
         true
@@ -389,17 +409,18 @@ fn tilted<S: Scalar>(pose: &Pose, axis: usize, h: S) -> [Vec3<S>; 3] {
 impl<S: Scalar> PreciseSurface<S> {
     /// Sag and slope; `None` beyond the conic's reach.
     fn at(&self, x: S, y: S) -> Option<(S, [S; 2])> {
-        let one = S::of(1.0);
+        let Self { curvature, conic, even, odd, zernike, xy, distance: _, indices: _, ideal: _, motion: _ } = self;
+        let (curvature, conic, one) = (*curvature, *conic, S::of(1.0));
         let rho = x * x + y * y;
-        let phi_sq = one - (one + self.conic) * self.curvature * self.curvature * rho;
+        let phi_sq = one - (one + conic) * curvature * curvature * rho;
         let reach = phi_sq.to_f64();
         if reach.is_nan() || reach <= 0.0 {
             return None;
         }
         let phi = phi_sq.root();
-        let mut h = self.curvature * rho / (one + phi);
+        let mut h = curvature * rho / (one + phi);
         // dh/dρ, twice.
-        let mut twice = self.curvature / phi;
+        let mut twice = curvature / phi;
         let series = |terms: &[S], from: f64| {
             let (mut p, mut d) = (S::of(0.0), S::of(0.0));
             for (i, a) in terms.iter().enumerate().rev() {
@@ -411,17 +432,17 @@ impl<S: Scalar> PreciseSurface<S> {
             (p, d)
         };
         // Σ a ρ^{i+1} and its derivative Σ (i+1) a ρ^i.
-        let (p, d) = series(&self.even, 1.0);
+        let (p, d) = series(even, 1.0);
         h = h + p * rho;
         twice = twice + d + d;
-        if !self.odd.is_empty() {
+        if !odd.is_empty() {
             let r = rho.root();
-            let (p, d) = series(&self.odd, 1.5);
+            let (p, d) = series(odd, 1.5);
             h = h + p * rho * r;
             twice = twice + (d + d) * r;
         }
         let mut slope = [twice * x, twice * y];
-        for (radius, terms) in &self.freeform {
+        for (radius, terms) in [zernike, xy].into_iter().flatten() {
             let (u, v) = (x / *radius, y / *radius);
             let power = |base: S, n: usize| (0..n).fold(one, |p, _| p * base);
             for (i, j, c) in terms {

@@ -31,9 +31,19 @@ macro_rules! variant {
     };
 }
 
-/// The kinds, in the order of listings, with their lines.
+/// Whether a number turns with its surface: each kind says so.
+macro_rules! turns {
+    (turns) => {
+        true
+    };
+    (stays) => {
+        false
+    };
+}
+
+/// The kinds, in the order of listings, each with whether it turns and its line.
 macro_rules! kinds {
-    ($($(#[$doc:meta])+ $kind:ident => $line:expr,)+) => {
+    ($($(#[$doc:meta])+ $kind:ident: $side:ident => $line:expr,)+) => {
         /// What a number of a lens is.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum Kind {
@@ -47,6 +57,14 @@ macro_rules! kinds {
             pub(super) const fn line(self) -> &'static Line {
                 match self {
                     $(Self::$kind => const { &$line },)+
+                }
+            }
+
+            /// Whether it changes sign where its surface is met from the other side: what sag is proportional to does; ratios and focal
+            /// lengths do not.
+            pub(in crate::lens) const fn turns(self) -> bool {
+                match self {
+                    $(Self::$kind => turns!($side),)+
                 }
             }
         }
@@ -83,23 +101,21 @@ const PLAIN: Line = Line {
     allowed: FINITE,
     scale: |_, _| 1.0,
     free: true,
-    turns: false,
 };
 
 kinds! {
     /// Vertex curvature of a surface; an ideal lens has none.
-    Curvature => Line {
+    Curvature: turns => Line {
         at: bent!(curvature),
         name: |_, _| "curvature".into(),
         key: "curvature_per_mm",
         // A hyperboloid of any vertex curvature reaches all clear semi-diameters; powers of this one are numbers.
         allowed: (|x| x.abs() <= 1e6, "-1e6 to 1e6 per mm: radii from 1e-6 mm"),
         scale: |lens, p| 2.0 / radius(lens, p).powi(2),
-        turns: true,
         ..PLAIN
     },
     /// Conic constant of a surface; an ideal lens has none.
-    Conic => Line {
+    Conic: stays => Line {
         at: bent!(conic),
         name: |_, _| "conic".into(),
         key: "conic",
@@ -112,47 +128,43 @@ kinds! {
         ..PLAIN
     },
     /// Even polynomial coefficients: a₂, a₄, ….
-    Even => Line {
+    Even: turns => Line {
         at: At::Shape(|s| &s.asphere, |s| &mut s.asphere),
         name: |_, p| format!("a{}", 2 * p.entry + 2),
         key: "asphere.",
         scale: |lens, p| at_rim(lens, p, 2 * p.entry + 2),
-        turns: true,
         ..PLAIN
     },
     /// Odd polynomial coefficients: a₃, a₅, ….
-    Odd => Line {
+    Odd: turns => Line {
         at: At::Shape(|s| &s.odd, |s| &mut s.odd),
         name: |_, p| format!("a{}", 2 * p.entry + 3),
         key: "asphere.",
         scale: |lens, p| at_rim(lens, p, 2 * p.entry + 3),
-        turns: true,
         ..PLAIN
     },
     /// Zernike coefficients: Z₁, Z₂, ….
-    Zernike => Line {
+    Zernike: turns => Line {
         at: At::Shape(
             |s| s.zernike.as_ref().map_or(&[], Zernike::terms),
             |s| s.zernike.as_mut().map_or(&mut [], Zernike::terms_mut),
         ),
         name: |_, p| format!("z{}", p.entry + 1),
         key: "zernike.",
-        turns: true,
         ..PLAIN
     },
     /// Coefficients of the polynomial in x and y, in the file's order.
-    Xy => Line {
+    Xy: turns => Line {
         at: At::Shape(|s| s.xy.as_ref().map_or(&[], Xy::terms), |s| s.xy.as_mut().map_or(&mut [], Xy::terms_mut)),
         name: |lens, p| {
             let orders = lens.surfaces.get(p.of).and_then(|s| s.shape.xy.as_ref()?.orders().get(p.entry));
             orders.map_or_else(|| format!("xy{}", p.entry), |(i, j)| format!("x{i}y{j}"))
         },
         key: "xy.terms.",
-        turns: true,
         ..PLAIN
     },
     /// Focal length of an ideal lens, where a surface is one.
-    IdealFocalLength => Line {
+    IdealFocalLength: stays => Line {
         at: At::Shape(|s| s.ideal.as_slice(), |s| s.ideal.as_mut_slice()),
         name: |_, _| "ideal_focal_length".into(),
         key: "ideal_focal_length_mm",
@@ -162,7 +174,7 @@ kinds! {
         ..PLAIN
     },
     /// Tilts of a surface about x, y, z, where it states a pose.
-    Tilt => Line {
+    Tilt: stays => Line {
         at: At::Surface(
             |s| s.pose.as_ref().map_or(&[], |p| &p.tilt),
             |s| s.pose.as_mut().map_or(&mut [], |p| &mut p.tilt),
@@ -175,7 +187,7 @@ kinds! {
         ..PLAIN
     },
     /// Decentres of a surface along x and y, where it states a pose.
-    Decentre => Line {
+    Decentre: stays => Line {
         at: At::Surface(
             |s| s.pose.as_ref().map_or(&[], |p| &p.decentre),
             |s| s.pose.as_mut().map_or(&mut [], |p| &mut p.decentre),
@@ -186,7 +198,7 @@ kinds! {
         ..PLAIN
     },
     /// Thickness behind a surface.
-    Thickness => Line {
+    Thickness: stays => Line {
         at: scalar!(Surface.thickness),
         name: |_, _| "thickness".into(),
         key: "thickness_mm",
@@ -194,7 +206,7 @@ kinds! {
         ..PLAIN
     },
     /// `n_d` of the medium behind a surface, where two numbers state it.
-    Index => Line {
+    Index: stays => Line {
         at: variant!(Medium, Medium::Cauchy { n_d, .. } => n_d),
         name: |_, _| "n_d".into(),
         key: "medium.n_d",
@@ -202,7 +214,7 @@ kinds! {
         ..PLAIN
     },
     /// `v_d` of the medium behind a surface, where two numbers state it.
-    Abbe => Line {
+    Abbe: stays => Line {
         at: variant!(Medium, Medium::Cauchy { v_d, .. } => v_d),
         name: |_, _| "v_d".into(),
         key: "medium.v_d",
@@ -211,7 +223,7 @@ kinds! {
         ..PLAIN
     },
     /// Dispersion coefficients of a catalogue's glass, in the order of its formula.
-    Dispersion => Line {
+    Dispersion: stays => Line {
         at: At::Medium(
             |m| if let Medium::Glass { dispersion, .. } = m { dispersion.coefficients() } else { &[] },
             |m| if let Medium::Glass { dispersion, .. } = m { dispersion.coefficients_mut() } else { &mut [] },
@@ -222,7 +234,7 @@ kinds! {
         ..PLAIN
     },
     /// Indices of a tabulated glass.
-    Tabulated => Line {
+    Tabulated: stays => Line {
         at: At::Medium(
             |m| if let Medium::Table { index, .. } = m { index } else { &[] },
             |m| if let Medium::Table { index, .. } = m { index } else { &mut [] },
@@ -234,7 +246,7 @@ kinds! {
         ..PLAIN
     },
     /// Clear semi-diameter of a surface.
-    SemiDiameter => Line {
+    SemiDiameter: stays => Line {
         at: scalar!(Surface.semi_diameter),
         name: |_, _| "semi_diameter".into(),
         key: "semi_diameter_mm",
@@ -243,7 +255,7 @@ kinds! {
         ..PLAIN
     },
     /// Tilts of an element about x, y, z.
-    ElementTilt => Line {
+    ElementTilt: stays => Line {
         at: At::Element(|e| &e.pose.tilt, |e| &mut e.pose.tilt),
         name: |_, p| format!("tilt_{}", AXES[p.entry % 3]),
         key: "tilt_deg",
@@ -253,7 +265,7 @@ kinds! {
         ..PLAIN
     },
     /// Decentres of an element along x and y.
-    ElementDecentre => Line {
+    ElementDecentre: stays => Line {
         at: At::Element(|e| &e.pose.decentre, |e| &mut e.pose.decentre),
         name: |_, p| format!("decentre_{}", AXES[p.entry % 3]),
         key: "decentre_mm",
@@ -261,7 +273,7 @@ kinds! {
         ..PLAIN
     },
     /// Pivot of an element.
-    Pivot => Line {
+    Pivot: stays => Line {
         at: scalar!(Element.pivot),
         name: |_, _| "pivot".into(),
         key: "pivot_mm",
@@ -270,7 +282,7 @@ kinds! {
         ..PLAIN
     },
     /// Diameter of the entrance pupil, where the aperture is stated so.
-    EntrancePupilDiameter => Line {
+    EntrancePupilDiameter: stays => Line {
         at: variant!(Aperture, Aperture::EntrancePupilDiameter(d) => d),
         name: |_, _| "entrance_pupil_diameter".into(),
         key: "entrance_pupil_diameter_mm",
@@ -279,7 +291,7 @@ kinds! {
         ..PLAIN
     },
     /// F-number, where the aperture is stated so.
-    FNumber => Line {
+    FNumber: stays => Line {
         at: variant!(Aperture, Aperture::FNumber(f) => f),
         name: |_, _| "f_number".into(),
         key: "f_number",
@@ -288,7 +300,7 @@ kinds! {
         ..PLAIN
     },
     /// Semi-diameter of the stop, where the aperture is stated so.
-    StopSemiDiameter => Line {
+    StopSemiDiameter: stays => Line {
         at: variant!(Aperture, Aperture::StopSemiDiameter(r) => r),
         name: |_, _| "stop_semi_diameter".into(),
         key: "stop_semi_diameter_mm",
@@ -297,7 +309,7 @@ kinds! {
         ..PLAIN
     },
     /// Numerical aperture in object space, where the aperture is stated so.
-    ObjectNa => Line {
+    ObjectNa: stays => Line {
         at: variant!(Aperture, Aperture::ObjectNa(na) => na),
         name: |_, _| "object_space_na".into(),
         key: "object_space_na",

@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use super::{Level, Options, Program, Rays, TILE, Tile, index_ratios, trace_batch};
 use crate::lens::builtin::{self, LENSES};
+use crate::lens::test_lenses::every_kind;
 use crate::lens::{Pose, Prescription, unchecked};
 use crate::trace::sequential::{Hit, trace};
 use crate::trace::system::TraceSurface;
@@ -183,6 +184,27 @@ fn every_level_agrees_with_the_plain_trace() {
             }
         }
         assert!(total.iter().all(|n| *n > 3000), "{level:?}: {total:?}");
+    }
+}
+
+/// Every form of a surface alone, there and back: its rays are those of the plain trace, whoever follows them.
+#[test]
+fn every_form_goes_through_the_lanes_alike() {
+    for level in Level::available() {
+        let rng = &mut fastrand::Rng::with_seed(6);
+        for (name, lens) in every_kind().alone {
+            let there = System::new(&lens, 550.0);
+            let (mut arrived, surfaces) = (0, there.surfaces.len());
+            for system in [there.reversed(), there] {
+                for (clip, path) in [(true, false), (false, true)] {
+                    let options = Options { clip, path, level: Some(level) };
+                    let in_lanes = Program::new(&system, options).in_lanes();
+                    assert_eq!(in_lanes, surfaces - usize::from(name != "even"), "{name}");
+                    arrived += compare(name, &system, &rays(&system, 2 * TILE + 5, rng), options, false)[0];
+                }
+            }
+            assert!(arrived > 80, "{name}: {arrived}");
+        }
     }
 }
 
