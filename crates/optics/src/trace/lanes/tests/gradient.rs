@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use super::super::{Bundle, Level, Options, Rays, TILE, Tile, trace_batch, trace_gradient};
 use super::{fill, nominal, nudged, plain, rays, systems, vary};
+use crate::lens::test_lenses::{every_kind, numbers as of_shape};
 use crate::lens::{builtin, unchecked};
 use crate::trace::sequential::{HitBar, trace_vjp};
 use crate::trace::{Ray, System, SystemGradient};
@@ -37,10 +38,7 @@ pub(super) fn gradient(system: &System, given: &Rays, options: Options) -> (f64,
 /// All numbers of the cotangents, in one order.
 pub(super) fn numbers(g: &SystemGradient) -> Vec<f64> {
     let mut all = Vec::new();
-    for s in &g.shapes {
-        all.extend([s.curvature, s.conic]);
-        all.extend(s.asphere.iter().chain(&s.odd));
-    }
+    g.shapes.iter().for_each(|s| all.extend(of_shape(s)));
     all.extend(g.distances.iter().chain(&g.indices));
     for m in &g.motions {
         all.extend(m.rotation.to_cols_array());
@@ -91,7 +89,12 @@ fn gradients_agree_with_the_plain_adjoint() {
     for level in Level::available() {
         let rng = &mut fastrand::Rng::with_seed(21);
         let mut worst = 0.0f64;
-        for (name, system) in systems(rng) {
+        let mut all = systems(rng);
+        for (form, lens) in every_kind().alone {
+            let there = System::new(&lens, 550.0);
+            all.extend([(format!("{form} reversed"), there.reversed()), (form.to_owned(), there)]);
+        }
+        for (name, system) in all {
             let given = rays(&system, 3 * TILE + 5, rng);
             let options = Options { clip: true, path: false, level: Some(level) };
             let launch_bars =
