@@ -90,7 +90,8 @@ mod tests {
     fn every_kind_of_number_pulls_back() {
         let mut seen = Vec::new();
         for lens in every_kind().all() {
-            for ray in rays() {
+            // Near the rim differences are noisier.
+            for (ray, floor) in rays().into_iter().zip([1e-3, 5e-3]) {
                 let gradient = pulled(&lens, ray);
                 for p in Parameter::all(&lens) {
                     let variables = Variables::new(&lens, vec![p]);
@@ -98,7 +99,7 @@ mod tests {
                     let at = |h: f64| value(&unchecked(&lens, |l| variables.put(l, &[x + h])), ray);
                     let numeric = central_difference(at, 1e-3);
                     let found = variables.gradient(&gradient)[0];
-                    assert_rel(found, numeric, 1e-8, 5e-3, &p.name(&lens));
+                    assert_rel(found, numeric, 1e-8, floor, &p.name(&lens));
                     if found != 0.0 {
                         seen.push(p.kind);
                     }
