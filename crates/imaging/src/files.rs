@@ -29,7 +29,8 @@ use crate::exif::{Exif, Undefined};
 use isoplanat_base::atomic::{Target, write_atomic};
 use isoplanat_base::error::{Error, Result};
 pub use read::{
-    Encoding, Planes, Stored, picture_size, read_linear, read_picture, read_planes, read_sensor_planes, read_stored,
+    Encoding, Planes, Stored, picture_size, read_linear, read_picture, read_planes, read_seen_within, read_sensor_planes,
+    read_stored, read_stored_within,
 };
 
 /// Endings of pictures that are read and written.

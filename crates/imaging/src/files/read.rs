@@ -15,8 +15,33 @@ use crate::exif::Turn;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_base::math::memory::{Limit, product};
 
-/// Bytes a pixel that a picture takes beside what its decoder gives: samples of one kind, three planes.
-const PIXEL: usize = 3 * (2 + 8);
+/// Bytes of the planes that are made of a pixel: [`read_stored`]'s three, [`read_planes`]' as many as it has.
+type Made = fn(channels: usize) -> usize;
+const STORED: Made = |_| 3 * size_of::<f32>();
+const PLANES: Made = |channels| channels * size_of::<f64>();
+
+/// What reading a picture may take, and what is made of it.
+#[derive(Clone, Copy)]
+pub(super) struct Room {
+    memory: Limit,
+    made: Made,
+}
+
+impl Room {
+    /// Refuses a picture whose pixels there is no memory for, before they are decoded: `decoding` bytes of the decoder, samples of `sample` bytes a channel,
+    /// and the planes that are made of them.
+    pub(super) fn allow(
+        &self,
+        path: &Path,
+        [rows, cols]: [usize; 2],
+        decoding: u64,
+        (channels, sample): (usize, usize),
+    ) -> Result<()> {
+        let bytes = product(&[rows, cols, channels * sample + (self.made)(channels)]).saturating_add(decoding);
+        let picture = format!("{}: {cols} × {rows} pixels", path.display());
+        self.memory.allow(&picture, bytes, "a smaller picture")
+    }
+}
 
 /// What the numbers of an integer picture stand for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,8 +83,17 @@ pub struct Stored {
 /// # Shapes
 /// Result `[3, row, col]`.
 pub fn read_linear(path: &Path) -> Result<Array3<f32>> {
-    let Stored { image, orientation, .. } = read_stored(path, None)?;
-    Ok(upright(image, orientation))
+    Ok(read_seen_within(path, Limit::of_process())?.image)
+}
+
+/// As [`read_linear`], within `memory`; upright, with the rest of what [`read_stored`] says.
+///
+/// # Errors
+/// As [`read_stored`].
+#[doc(hidden)]
+pub fn read_seen_within(path: &Path, memory: Limit) -> Result<Stored> {
+    let stored = read_stored_within(path, None, memory)?;
+    Ok(Stored { image: upright(stored.image, stored.orientation), orientation: 1, ..stored })
 }
 
 /// Rows and columns that a picture's file states, either way round; its pixels are not read.
@@ -91,9 +125,18 @@ pub fn read_picture(path: &Path, encoding: Encoding) -> Result<Array3<f32>> {
 /// it says nothing.
 ///
 /// # Errors
-/// A file that cannot be read, or is no picture.
+/// A file that cannot be read, or is no picture; one that there is no memory for.
 pub fn read_stored(path: &Path, encoding: Option<Encoding>) -> Result<Stored> {
-    let content = content(path)?;
+    read_stored_within(path, encoding, Limit::of_process())
+}
+
+/// As [`read_stored`], within `memory`: a picture that needs more is refused before its pixels are decoded.
+///
+/// # Errors
+/// As [`read_stored`].
+#[doc(hidden)]
+pub fn read_stored_within(path: &Path, encoding: Option<Encoding>, memory: Limit) -> Result<Stored> {
+    let content = content(path, Room { memory, made: STORED })?;
     let taken = Taken::of(encoding, &content, Curve::Srgb);
     let orientation = content.orientation;
     let single = |v: f64| v as f32;
@@ -183,7 +226,7 @@ pub fn read_sensor_planes(path: &Path, encoding: Option<Encoding>) -> Result<Pla
 
 /// Channels as they are stored, and Exif's orientation.
 fn stored_planes(path: &Path, encoding: Option<Encoding>) -> Result<(Planes, u8)> {
-    let content = content(path)?;
+    let content = content(path, Room { memory: Limit::of_process(), made: PLANES })?;
     let usual = if matches!(content.samples, Samples::U8(_)) { Curve::Srgb } else { Curve::Linear };
     let taken = Taken::of(encoding, &content, usual);
     let channels = content.channels;
@@ -266,24 +309,24 @@ fn kind(path: &Path) -> Result<Kind> {
 }
 
 /// What a file holds. A decoder that gives up in the middle of a form that it does not know is refused as any.
-fn content(path: &Path) -> Result<Content> {
-    catch_unwind(|| decoded_content(path)).unwrap_or_else(|_| {
+fn content(path: &Path, room: Room) -> Result<Content> {
+    catch_unwind(|| decoded_content(path, room)).unwrap_or_else(|_| {
         let file = path.display().to_string();
         Err(Error::bad(file, "picture", "a form that its decoder gives up on", ALLOWED))
     })
 }
 
-fn decoded_content(path: &Path) -> Result<Content> {
+fn decoded_content(path: &Path, room: Room) -> Result<Content> {
     match kind(path)? {
-        Kind::Array => npy::read(path),
+        Kind::Array => npy::read(path, Some(room)),
         // Forms that the `image` crate knows too go its way: palettes, CMYK, bilevel.
-        Kind::Tiff => tiff_file::read(path)?.map_or_else(|| picture(path), Ok),
-        Kind::Other => picture(path),
+        Kind::Tiff => tiff_file::read(path, room)?.map_or_else(|| picture(path, room), Ok),
+        Kind::Other => picture(path, room),
     }
 }
 
 /// A picture that the `image` crate reads.
-fn picture(path: &Path) -> Result<Content> {
+fn picture(path: &Path, room: Room) -> Result<Content> {
     let refused = |e| refused(path, e);
     let failed = |e| Error::reading(path, e);
     let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format).map_err(failed)?;
@@ -296,7 +339,10 @@ fn picture(path: &Path) -> Result<Content> {
     }
     let png = reader.format() == Some(image::ImageFormat::Png);
     let mut decoder = reader.into_decoder().map_err(refused)?;
-    room(path, &decoder)?;
+    let (cols, rows) = decoder.dimensions();
+    let color = decoder.color_type();
+    let samples = (if color.has_color() { 3 } else { 1 }, usize::from(color.bytes_per_pixel() / color.channel_count()));
+    room.allow(path, [rows as usize, cols as usize], decoder.total_bytes(), samples)?;
     let told = if png {
         png_file::check_palette(path)?;
         png_file::told(path)?
@@ -319,14 +365,6 @@ fn picture(path: &Path) -> Result<Content> {
         (false, _) => Samples::U8(picture.into_rgb8().into_raw()),
     };
     Ok(Content { rows, cols, channels, samples, orientation, told })
-}
-
-/// Refuses a picture whose pixels there is no memory for, before they are asked for: as the decoder gives them, as they are converted, and the planes that are made of them.
-fn room(path: &Path, decoder: &impl ImageDecoder) -> Result<()> {
-    let (cols, rows) = decoder.dimensions();
-    let bytes = product(&[rows as usize, cols as usize, PIXEL]).saturating_add(decoder.total_bytes());
-    let picture = format!("{}, {cols} × {rows} pixels", path.display());
-    Limit::of_process().allow(&picture, bytes, "a smaller picture")
 }
 
 fn refused(path: &Path, e: ImageError) -> Error {

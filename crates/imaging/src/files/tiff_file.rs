@@ -5,12 +5,14 @@ use std::io::BufReader;
 use std::path::Path;
 
 use tiff::decoder::{Decoder, DecodingResult, Limits};
-use tiff::tags::Tag;
+use tiff::tags::{CompressionMethod, SampleFormat, Tag};
 use tiff::{ColorType, TiffError};
 
 use super::content::{ALLOWED, Content, Samples, finite};
+use super::read::Room;
 use crate::develop::profile::Told;
 use isoplanat_base::error::{Error, Result};
+use isoplanat_base::math::memory::product;
 
 /// Bytes of a picture at most.
 const LARGEST: usize = 4 << 30;
@@ -40,7 +42,7 @@ pub(super) fn size(path: &Path) -> Result<[usize; 2]> {
 }
 
 /// The samples of the first picture; `None` for forms that go another way.
-pub(super) fn read(path: &Path) -> Result<Option<Content>> {
+pub(super) fn read(path: &Path, room: Room) -> Result<Option<Content>> {
     let refused = |e| refused(path, e);
     let bad = |found: String, allowed: &str| Error::bad(path.display().to_string(), "picture", found, allowed);
     let mut decoder = open(path)?;
@@ -70,6 +72,10 @@ pub(super) fn read(path: &Path) -> Result<Option<Content>> {
     let orientation = orientation.and_then(|v| u8::try_from(v).ok()).filter(|v| (1..=8).contains(v)).unwrap_or(1);
     let profile = decoder.find_tag(Tag::IccProfile).map_err(refused)?;
     let told = profile.and_then(|v| v.into_u8_vec().ok()).and_then(|profile| Told::by_icc(&profile));
+    let format = decoder.find_tag_unsigned_vec::<u16>(Tag::SampleFormat).map_err(refused)?;
+    let float = format.is_some_and(|v| v.first() == Some(&SampleFormat::IEEEFP.to_u16()));
+    let size = [rows as usize, cols as usize];
+    room.allow(path, size, decoding(&mut decoder, size, bands, bits).map_err(refused)?, (channels, kept(bits, float)))?;
     let mut result = DecodingResult::U8(Vec::new());
     let layout = decoder.read_image_to_buffer(&mut result).map_err(refused)?;
     if result.as_buffer(0).as_bytes().len() < layout.complete_len {
@@ -93,6 +99,33 @@ pub(super) fn read(path: &Path) -> Result<Option<Content>> {
     finite(path, Content { rows: rows as usize, cols: cols as usize, channels, samples, orientation, told }).map(Some)
 }
 
+/// Bytes that a sample takes once it is decoded, in [`Samples`].
+fn kept(bits: u8, float: bool) -> usize {
+    match (bits, float) {
+        (8, _) => 1,
+        (16, false) => 2,
+        (16 | 32, true) => 4,
+        _ => 8,
+    }
+}
+
+/// Bytes that a decoder takes: all bands, and what it holds of the piece in hand, a JPEG all of it and others a row.
+fn decoding(
+    decoder: &mut Decoder<BufReader<File>>,
+    [rows, cols]: [usize; 2],
+    bands: usize,
+    bits: u8,
+) -> Result<u64, TiffError> {
+    let compression = decoder.find_tag_unsigned::<u16>(Tag::Compression)?;
+    let (wide, high) = decoder.chunk_dimensions();
+    let high = match compression.map(CompressionMethod::from_u16_exhaustive) {
+        Some(CompressionMethod::JPEG | CompressionMethod::ModernJPEG) => (high as usize).min(rows),
+        _ => 1,
+    };
+    let sample = usize::from(bits / 8);
+    Ok(product(&[rows, cols, bands, sample]).saturating_add(product(&[high, wide as usize, bands, sample])))
+}
+
 /// How samples lie.
 struct Shape {
     pixels: usize,
@@ -111,7 +144,11 @@ impl Shape {
             return None;
         }
         let at = |pixel: usize, k: usize| if self.planar { k * self.pixels + pixel } else { pixel * self.bands + k };
-        let all = (0..self.pixels).flat_map(|pixel| (0..self.channels).map(move |k| (pixel, k)));
-        Some(all.map(|(pixel, k)| value(samples[at(pixel, k)])).collect())
+        // Room for all of it at once: a list that grows takes twice as much.
+        let mut kept = Vec::with_capacity(self.pixels * self.channels);
+        for pixel in 0..self.pixels {
+            kept.extend((0..self.channels).map(|k| value(samples[at(pixel, k)])));
+        }
+        Some(kept)
     }
 }
