@@ -6,6 +6,8 @@
 //! appear whole or not at all.
 
 mod content;
+#[cfg(test)]
+mod forms;
 mod jpeg;
 mod npy;
 mod png_file;
@@ -29,8 +31,8 @@ use crate::exif::{Exif, Undefined};
 use isoplanat_base::atomic::{Target, write_atomic};
 use isoplanat_base::error::{Error, Result};
 pub use read::{
-    Encoding, Planes, Stored, picture_size, read_linear, read_picture, read_planes, read_seen_within, read_sensor_planes,
-    read_stored, read_stored_within,
+    Encoding, Planes, Stored, picture_size, read_linear, read_picture, read_planes, read_seen_within,
+    read_sensor_planes, read_stored, read_stored_within,
 };
 
 /// Endings of pictures that are read and written.

@@ -5,7 +5,7 @@ use std::path::Path;
 use ndarray::{Array2, Array3, ArrayViewD, Axis};
 use ndarray_npy::{ReadableElement, ViewElement, ViewNpyError, ViewNpyExt, WriteNpyError, WriteNpyExt};
 
-use super::content::{Content, Samples, finite};
+use super::content::{Alpha, Content, Samples, finite};
 use super::read::Room;
 use isoplanat_base::atomic::{Target, read_bounded, write_atomic};
 use isoplanat_base::error::{Error, Result};
@@ -52,6 +52,11 @@ fn has_header(file: &[u8]) -> bool {
 
 /// The array of a file; refused where there is no room for it.
 pub(super) fn read(path: &Path, room: Option<Room>) -> Result<Content> {
+    if let Some(room) = room {
+        // Two copies while it is put on its boundaries.
+        let bytes = std::fs::metadata(path).map_err(|e| Error::reading(path, e))?.len();
+        room.allow_bytes(path, bytes.saturating_mul(2))?;
+    }
     let file = read_bounded(path, LARGEST)?;
     if file.starts_with(MAGIC) && !has_header(&file) {
         return Err(bad(path, "cut off within its header", "a whole NumPy array (.npy)"));
@@ -62,12 +67,13 @@ pub(super) fn read(path: &Path, room: Option<Room>) -> Result<Content> {
     aligned[start..start + file.len()].copy_from_slice(&file);
     let bytes = &aligned[start..start + file.len()];
     drop(file);
+    // With what is opaque, and the bytes that a sample takes at most.
     let tried = [
-        view::<f32>(path, (bytes, room), Samples::F32),
-        view::<f64>(path, (bytes, room), Samples::F64),
-        view::<u8>(path, (bytes, room), Samples::U8),
-        view::<u16>(path, (bytes, room), Samples::U16),
-        view::<u32>(path, (bytes, room), |v| {
+        view::<f32>(path, (bytes, room), (1.0, 4), Samples::F32),
+        view::<f64>(path, (bytes, room), (1.0, 8), Samples::F64),
+        view::<u8>(path, (bytes, room), (u8::MAX, 1), Samples::U8),
+        view::<u16>(path, (bytes, room), (u16::MAX, 2), Samples::U16),
+        view::<u32>(path, (bytes, room), (u32::MAX, 4 + 8), |v| {
             Samples::Whole(v.into_iter().map(|v| f64::from(v) / f64::from(u32::MAX)).collect(), 32)
         }),
     ];
@@ -80,9 +86,10 @@ pub(super) fn read(path: &Path, room: Option<Room>) -> Result<Content> {
 }
 
 /// The array if its numbers are `S`.
-fn view<S: Copy + ViewElement + ReadableElement>(
+fn view<S: Copy + PartialOrd + ViewElement + ReadableElement>(
     path: &Path,
     (bytes, room): (&[u8], Option<Room>),
+    (top, kept): (S, usize),
     samples: impl Fn(Vec<S>) -> Samples,
 ) -> Result<Option<Content>> {
     let array = match ArrayViewD::<S>::view_npy(bytes) {
@@ -93,17 +100,17 @@ fn view<S: Copy + ViewElement + ReadableElement>(
     let [rows, cols, stored] = shape(path, array.shape())?;
     let channels = if stored == 1 { 1 } else { 3 };
     if let Some(room) = room {
-        // Whole numbers of 32 bits are kept as shares of 64; the first copy of the rest stands beside.
-        let sample = if size_of::<S>() == 4 { 4 + size_of::<f64>() } else { size_of::<S>() };
-        room.allow(path, [rows, cols], bytes.len() as u64, (channels, sample))?;
+        room.allow(path, [rows, cols], bytes.len() as u64, (channels, kept))?;
     }
     let mut array = array;
+    let mut alpha = None;
     if stored == 4 {
+        alpha = array.index_axis(Axis(2), 3).iter().any(|v| *v < top).then_some(Alpha::Apart);
         array.slice_axis_inplace(Axis(2), ndarray::Slice::from(0..3));
     }
     // In the order of rows, whatever the file's.
     let samples = samples(array.iter().copied().collect());
-    Ok(Some(Content { rows, cols, channels, samples, orientation: 1, told: None }))
+    Ok(Some(Content { rows, cols, channels, samples, orientation: 1, alpha, told: None }))
 }
 
 /// Writes linear channels, `[channel, row, col]`, as float32: `[row, col, 3]`, or `[row, col]` for one channel.

@@ -8,7 +8,7 @@ use image::{DynamicImage, ImageDecoder, ImageError, ImageReader};
 use ndarray::{Array3, Axis};
 use rayon::prelude::*;
 
-use super::content::{ALLOWED, Content, Samples, finite};
+use super::content::{ALLOWED, Alpha, Content, Samples, finite, unread};
 use super::{jpeg, npy, png_file, tiff_file};
 use crate::develop::profile::{Curve, Told};
 use crate::exif::Turn;
@@ -41,6 +41,11 @@ impl Room {
         let picture = format!("{}: {cols} × {rows} pixels", path.display());
         self.memory.allow(&picture, bytes, "a smaller picture")
     }
+
+    /// Refuses a file that is read whole, before its size in pixels is known.
+    pub(super) fn allow_bytes(&self, path: &Path, bytes: u64) -> Result<()> {
+        self.memory.allow(&path.display().to_string(), bytes, "a smaller picture")
+    }
 }
 
 /// What the numbers of an integer picture stand for.
@@ -63,6 +68,8 @@ pub struct Planes {
     pub encoding: Encoding,
     /// The same in words, and whether the file said so itself.
     pub taken: &'static str,
+    /// In words, what of the file is left out, where that changes what is seen: alpha that is not opaque.
+    pub left_out: Option<&'static str>,
 }
 
 /// A picture as it is stored, not turned upright.
@@ -76,6 +83,8 @@ pub struct Stored {
     pub bits: Option<u8>,
     /// Whether the file said what its numbers stand for.
     pub told: bool,
+    /// As [`Planes::left_out`].
+    pub left_out: Option<&'static str>,
 }
 
 /// Reads a picture to linear sRGB, upright: whole numbers in `[0, 1]`, taken as the file says, or as sRGB-encoded where it says nothing.
@@ -138,7 +147,7 @@ pub fn read_stored(path: &Path, encoding: Option<Encoding>) -> Result<Stored> {
 pub fn read_stored_within(path: &Path, encoding: Option<Encoding>, memory: Limit) -> Result<Stored> {
     let content = content(path, Room { memory, made: STORED })?;
     let taken = Taken::of(encoding, &content, Curve::Srgb);
-    let orientation = content.orientation;
+    let (orientation, left_out) = (content.orientation, content.alpha.map(Alpha::words));
     let single = |v: f64| v as f32;
     let (bits, mut image) = match &content.samples {
         Samples::F32(v) => (None, planes(&content, 3, v, |_, v| v)),
@@ -156,7 +165,7 @@ pub fn read_stored_within(path: &Path, encoding: Option<Encoding>, memory: Limit
     if let (Some(matrix), 3) = (taken.to_srgb, content.channels) {
         turn(&mut image, &matrix, bits.is_some());
     }
-    Ok(Stored { image, orientation, bits, told: taken.told })
+    Ok(Stored { image, orientation, bits, told: taken.told, left_out })
 }
 
 /// Colours by a matrix; what leaves `[0, 1]` is put at its border where the samples are whole numbers.
@@ -245,7 +254,8 @@ fn stored_planes(path: &Path, encoding: Option<Encoding>) -> Result<(Planes, u8)
     };
     // Floating point is linear.
     let (encoding, taken) = if bits.is_some() { taken.words() } else { (Encoding::Linear, "linear") };
-    Ok((Planes { values, bits, encoding, taken }, content.orientation))
+    let left_out = content.alpha.map(Alpha::words);
+    Ok((Planes { values, bits, encoding, taken, left_out }, content.orientation))
 }
 
 /// Light of all sample values of each channel.
@@ -353,9 +363,13 @@ fn picture(path: &Path, room: Room) -> Result<Content> {
     let picture = DynamicImage::from_decoder(decoder).map_err(refused)?;
     let (rows, cols) = (picture.height() as usize, picture.width() as usize);
     let channels = if picture.color().has_color() { 3 } else { 1 };
+    let alpha = is_seen_through(&picture).then_some(Alpha::Apart);
     if matches!(picture, DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_)) {
         let samples = picture.into_rgb32f().into_raw();
-        return finite(path, Content { rows, cols, channels, samples: Samples::F32(samples), orientation, told });
+        return finite(
+            path,
+            Content { rows, cols, channels, samples: Samples::F32(samples), orientation, alpha, told },
+        );
     }
     let deep = picture.color().bytes_per_pixel() / picture.color().channel_count() > 1;
     let samples = match (deep, channels) {
@@ -364,12 +378,24 @@ fn picture(path: &Path, room: Room) -> Result<Content> {
         (false, 1) => Samples::U8(picture.into_luma8().into_raw()),
         (false, _) => Samples::U8(picture.into_rgb8().into_raw()),
     };
-    Ok(Content { rows, cols, channels, samples, orientation, told })
+    Ok(Content { rows, cols, channels, samples, orientation, alpha, told })
+}
+
+/// Whether a picture has an alpha that is not opaque everywhere.
+fn is_seen_through(picture: &DynamicImage) -> bool {
+    match picture {
+        DynamicImage::ImageLumaA8(v) => v.pixels().any(|p| p.0[1] < u8::MAX),
+        DynamicImage::ImageLumaA16(v) => v.pixels().any(|p| p.0[1] < u16::MAX),
+        DynamicImage::ImageRgba8(v) => v.pixels().any(|p| p.0[3] < u8::MAX),
+        DynamicImage::ImageRgba16(v) => v.pixels().any(|p| p.0[3] < u16::MAX),
+        DynamicImage::ImageRgba32F(v) => v.pixels().any(|p| p.0[3] < 1.0),
+        _ => false,
+    }
 }
 
 fn refused(path: &Path, e: ImageError) -> Error {
     match e {
-        ImageError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Error::reading(path, e),
+        ImageError::IoError(e) => unread(path, e),
         e => Error::bad(path.display().to_string(), "picture", e.to_string(), ALLOWED),
     }
 }
