@@ -1,6 +1,8 @@
 //! The channels of a picture that is measured in: grey, R, G, B with luminance, or the colours of a mosaic.
 
-use std::path::Path;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 #[cfg(feature = "deploy")]
 use isoplanat::deploy::raw::has_raw_name;
@@ -17,6 +19,18 @@ const COLOURS: [&str; 3] = ["R", "G", "B"];
 
 /// Bytes of a pixel while it is read: three channels as they come and twice as double precision, luminance.
 const BYTES: usize = 64;
+
+/// Pictures whose left-out parts were told of.
+static TOLD: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+
+/// Says what of a picture is left out, once for each file: commands read some twice.
+pub(crate) fn tell_left_out(path: &Path, left_out: Option<&str>) {
+    let Some(words) = left_out else { return };
+    let first = TOLD.lock().unwrap_or_else(PoisonError::into_inner).insert(path.to_owned());
+    if first {
+        crate::aside!("note: {}: {words}", path.display());
+    }
+}
 
 /// One channel: linear values, and which of them count.
 pub(crate) struct Channel {
@@ -59,10 +73,13 @@ pub(crate) fn read(path: &Path, encoding: Option<Encoding>, cfa: Option<Cfa>, wa
     // What cannot be read is told below.
     if let Ok([rows, columns]) = picture_size(path) {
         let bytes = product(&[rows, columns, BYTES]);
-        crate::memory::limit().allow(&format!("a picture of {columns} × {rows} pixels"), bytes, "a part of it")?;
+        let picture = format!("{}: {columns} × {rows} pixels", path.display());
+        crate::memory::limit().allow(&picture, bytes, "a part of it")?;
     }
     let as_seen = way == Way::Seen && cfa.is_none();
-    let Planes { values, bits, taken, .. } = if as_seen { read_planes } else { read_sensor_planes }(path, encoding)?;
+    let read = if as_seen { read_planes } else { read_sensor_planes };
+    let Planes { values, bits, taken, left_out, .. } = read(path, encoding)?;
+    tell_left_out(path, left_out);
     let form = bits.map_or_else(|| "floating point".into(), |b| format!("{b} bits"));
     let range = bits.map(|_| [0.0, 1.0]);
     let mut planes = values.axis_iter(Axis(0)).map(|p| p.to_owned().into_shared()).collect::<Vec<_>>();
@@ -110,7 +127,7 @@ fn raw(path: &Path) -> Result<Picture> {
     // Samples as they come, and in double precision.
     let colours = if matches!(raw.pixels, RawPixels::Linear(_)) { 3 } else { 1 };
     let bytes = product(&[rows, columns, colours, size_of::<f32>() + size_of::<f64>()]);
-    let what = format!("a RAW file of {columns} × {rows} pixels");
+    let what = format!("{}: {columns} × {rows} pixels", path.display());
     crate::memory::limit().allow(&what, bytes, "a smaller frame")?;
     let (black, white) = (raw.black.map(f64::from), raw.white.map(f64::from));
     let level = |v: f32, i: usize| (f64::from(v) - black[i]) / (white[i] - black[i]);

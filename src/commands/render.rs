@@ -280,8 +280,10 @@ impl Way {
             let reason = format!("{planned} of {count}, {which}, were looked at; the others count as no worse");
             plan.skips.push(Skip { what: "scenes of the plan", reason, remaining, bound: f64::NAN });
         }
-        let largest = scenes.iter().map(|s| plan.bytes(texels(&s.texture))).max().unwrap_or(0);
+        let sizes = scenes.iter().map(|s| plan.bytes(texels(&s.texture)));
+        let (largest, of) = sizes.zip(deciding).max().unwrap_or_default();
         let others: u64 = scenes.iter().skip(1).map(|s| estimate::scene(texels(&s.texture)) / 2).sum();
+        let what = format!("{}: {what}", &*args.scenes[of]);
         memory::limit().allow(&what, largest.saturating_add(others), SMALLER)?;
         Ok(Self::Grid(Box::new(plan), clock.elapsed().as_secs_f64()))
     }

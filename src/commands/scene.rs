@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use isoplanat::imaging::files::{PICTURES, extension, read_linear};
+use isoplanat::imaging::files::{PICTURES, Stored, extension, read_seen_within};
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::plane::Plane;
 use isoplanat::imaging::render::{frame_of, memory};
@@ -15,6 +15,7 @@ use ndarray::Array3;
 
 use crate::input;
 use crate::named::Named;
+use crate::picture::tell_left_out;
 
 /// Where the scene stands and what sees it.
 #[derive(Clone, Debug, clap::Args)]
@@ -264,16 +265,18 @@ impl Stage {
             let allowed = "one picture of it; `isoplanat render` takes folders of scenes";
             return Err(Error::bad(&**name, "scene", "a folder", allowed));
         }
+        let known: Vec<&str> = SceneKind::ALL.iter().map(|k| k.name()).collect();
+        let allowed = format!("a picture file, or {} with an optional :SEED", known.join(", "));
         let (texture, zoom) = if path.exists() {
-            (read_linear(path)?, self.texels_per_pixel)
+            let Stored { image, left_out, .. } = read_seen_within(path, crate::memory::limit())?;
+            tell_left_out(path, left_out);
+            (image, self.texels_per_pixel)
         } else {
             // A name that ends as pictures do is one that is not there.
             if PICTURES.contains(&extension(path).as_str()) {
-                return Err(Error::reading(path, std::io::ErrorKind::NotFound.into()));
+                return Err(Error::bad(&**name, "scene", "no such file", allowed));
             }
             let (kind, seed) = name.split_once(':').unwrap_or((&**name, "1"));
-            let known: Vec<&str> = SceneKind::ALL.iter().map(|k| k.name()).collect();
-            let allowed = format!("a picture file, or {} with an optional :SEED", known.join(", "));
             let bad = |found: String| Error::bad("SCENE", "argument", found, allowed.clone());
             let kind = SceneKind::from_name(kind).ok_or_else(|| bad(format!("`{name}`")))?;
             let seed = seed.parse().map_err(|_| bad(format!("seed `{seed}`")))?;

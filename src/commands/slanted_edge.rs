@@ -84,7 +84,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         None => {
             let (rows, columns) = sought.plane.dim();
             let bytes = product(&[rows, columns, LOOKED_THROUGH]);
-            let what = format!("an edge sought in {columns} × {rows} pixels");
+            let what = format!("{}: an edge sought in {columns} × {rows} pixels", place.display());
             crate::memory::limit().allow(&what, bytes, "--region x,y,w,h")?;
             let _bar = (rows * columns > LARGE).then(|| crate::progress::Bar::new("edge"));
             find_region(sought.plane.view(), sought.sites).map_err(|e| in_channel(e, sought.name, place))?

@@ -5,6 +5,7 @@ use std::path::Path;
 use crate::orientation::Orientation;
 use crate::raw::{Area, RawCapture, RawPixels, has_raw_name};
 use isoplanat_base::error::{Error, Result};
+use isoplanat_base::math::memory::Limit;
 use isoplanat_imaging::develop::color::{XYZ_FROM_SRGB, inverse};
 use isoplanat_imaging::exif::Exif;
 use isoplanat_imaging::files::{self, Stored};
@@ -17,9 +18,9 @@ pub(crate) fn is_picture(path: &Path) -> bool {
 /// Reads a picture as it is stored (a calibration's places are the sensor's), linear light from 0 to 1, its numbers taken as the file says, or as sRGB.
 ///
 /// # Errors
-/// A file that cannot be read, or is no picture; one of more than 65536 pixels a side.
-pub(crate) fn read(path: &Path) -> Result<RawCapture> {
-    let Stored { image, orientation, bits, told } = files::read_stored(path, None)?;
+/// A file that cannot be read, or is no picture; one that takes more than `memory`, or is of more than 65536 pixels a side.
+pub(crate) fn read(path: &Path, memory: Limit) -> Result<RawCapture> {
+    let Stored { image, orientation, bits, told, left_out } = files::read_stored_within(path, None, memory)?;
     let (_, rows, columns) = image.dim();
     if !(1..=65_536).contains(&rows) || !(1..=65_536).contains(&columns) {
         let found = format!("{columns} × {rows} pixels");
@@ -30,6 +31,10 @@ pub(crate) fn read(path: &Path) -> Result<RawCapture> {
         (Some(_), false) => "sRGB",
         (None, false) => "linear sRGB",
     };
+    let mut notes = vec![format!(
+        "a developed picture; its numbers are taken as {taken}, facts of its exposure are not carried over"
+    )];
+    notes.extend(left_out.map(str::to_owned));
     Ok(RawCapture {
         pixels: RawPixels::Linear(image),
         black: [0.0; 4],
@@ -42,8 +47,6 @@ pub(crate) fn read(path: &Path) -> Result<RawCapture> {
         make: String::new(),
         model: String::new(),
         exif: Exif::default(),
-        notes: vec![format!(
-            "a developed picture; its numbers are taken as {taken}, facts of its exposure are not carried over"
-        )],
+        notes,
     })
 }

@@ -141,15 +141,27 @@ pub fn decode_bytes(bytes: Vec<u8>, path: &Path) -> Result<RawCapture> {
         let dng = directory.filter(|_| decoder.format_hint() == FormatHint::DNG);
         if let Some(directory) = &dng {
             dng::check_filter(path, directory)?;
+            dng::check_order(path, directory)?;
         }
         let parameters = RawDecodeParams::default();
         let image = decoder.raw_image(&source, &parameters, false).map_err(|e| refused(path, &e.to_string()))?;
+        let root = catch_unwind(AssertUnwindSafe(|| decoder.ifd(WellKnownIFD::Root).ok().flatten())).ok().flatten();
+        let root = root.filter(|_| dng.is_some());
+        let copy = root.as_ref().map(|root| colour::of_copy(path, root, &image)).transpose()?.flatten();
         let exif = catch_unwind(AssertUnwindSafe(|| decoder.raw_metadata(&source, &parameters).ok()));
         let exif = exif.ok().flatten().map(|m| m.exif);
         let exif_orientation = exif.as_ref().and_then(|e| e.orientation);
         let orientation = exif_orientation.unwrap_or_else(|| image.orientation.to_u16());
         let mut capture = capture_from(path, image, Orientation::from_exif(orientation), dng.as_deref())?;
         capture.exif = exposure::facts_of(exif.as_ref(), &capture.make, &capture.model);
+        if let (Some(root), Some(copy)) = (&root, &copy) {
+            let by_chromaticity = root.get_entry(rawler::tags::DngTag::AsShotNeutral).is_none();
+            (capture.neutral, capture.camera_from_xyz) =
+                colour::with_copy(copy, capture.neutral, capture.camera_from_xyz, by_chromaticity);
+        }
+        if let Some(root) = &root {
+            capture.notes.extend(dng::look_left_out(root));
+        }
         if let Some(directory) = &dng {
             capture.notes.extend(dng::left_out(directory));
             dng::apply_opcodes(path, directory, &mut capture)?;

@@ -1,11 +1,13 @@
 //! Pictures in and out: PNG, JPEG, TIFF and NumPy's `.npy`. Only this file and those in `files/` name the `image` crate.
 //!
 //! `files/read.rs` is the one reader: 8 and 16 bits, whole numbers of 32 and 64 bits, floating point of 16, 32 and 64 bits, grey or three channels. What
-//! a file says of its whole numbers counts: its ICC profile, in a PNG `cICP`, `sRGB` or `gAMA`; floating point is linear. What is written says it too. Alpha is dropped, grey becomes three equal channels, the orientation in the metadata is applied.
+//! a file says of its whole numbers counts: its ICC profile, in a PNG `cICP`, `sRGB` or `gAMA`; floating point is linear. What is written says it too. Alpha is dropped, and told where it is not opaque; grey becomes three equal channels, the orientation in the metadata is applied.
 //! `.npy` holds `[row, col]` or `[row, col, channel]`, linear light from the top row. Outputs are written beside their place and renamed, so that they
 //! appear whole or not at all.
 
 mod content;
+#[cfg(test)]
+mod forms;
 mod jpeg;
 mod npy;
 mod png_file;
@@ -29,7 +31,8 @@ use crate::exif::{Exif, Undefined};
 use isoplanat_base::atomic::{Target, write_atomic};
 use isoplanat_base::error::{Error, Result};
 pub use read::{
-    Encoding, Planes, Stored, picture_size, read_linear, read_picture, read_planes, read_sensor_planes, read_stored,
+    Encoding, Planes, Stored, picture_size, read_linear, read_picture, read_planes, read_seen_within,
+    read_sensor_planes, read_stored, read_stored_within,
 };
 
 /// Endings of pictures that are read and written.

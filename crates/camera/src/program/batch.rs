@@ -94,7 +94,7 @@ impl<'a> Batch<'a> {
         }
         let started = Instant::now();
         let (raw, decoder) = if developed::is_picture(capture) {
-            (developed::read(capture)?, None)
+            (developed::read(capture, self.means.memory)?, None)
         } else {
             let (raw, confinement) = raw_process::decode(&self.means.helper, capture, self.means.memory)?;
             (raw, Some(confinement))

@@ -1,7 +1,20 @@
 //! What a file says of its colours: the camera's response to neutral, and its matrix.
 
+use std::path::Path;
+
+use isoplanat_base::error::Result;
+use isoplanat_imaging::develop::color::{XYZ_FROM_SRGB, inverse, product};
+use rawler::formats::tiff::IFD;
 use rawler::imgop::xyz::Illuminant;
 use rawler::rawimage::RawImage;
+use rawler::tags::{DngTag, TiffTag};
+
+use super::bad;
+
+type Matrix = [[f64; 3]; 3];
+
+/// Cone responses of XYZ (Bradford), in which the specification adapts whites.
+const BRADFORD: Matrix = [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]];
 
 /// Camera response to neutral, green 1, from the gains the file names; `None` where they are missing or absurd.
 pub(super) fn neutral(image: &RawImage, dng: bool) -> Option<[f64; 3]> {
@@ -17,15 +30,122 @@ pub(super) fn neutral(image: &RawImage, dng: bool) -> Option<[f64; 3]> {
 }
 
 /// The colour matrix for the illuminant nearest to D65.
-pub(super) fn camera_from_xyz(image: &RawImage) -> Option<[[f64; 3]; 3]> {
+pub(super) fn camera_from_xyz(image: &RawImage) -> Option<Matrix> {
+    Some(nearest(image)?.1)
+}
+
+fn nearest(image: &RawImage) -> Option<(Illuminant, Matrix)> {
     use Illuminant::{
         A, B, C, CloudyWeather, D50, D55, D65, D75, Daylight, FineWeather, Flash, Shade, Tungsten, Unknown,
     };
     let order = [D65, D75, D55, D50, Daylight, C, B, CloudyWeather, FineWeather, Shade, Flash, Unknown, A, Tungsten];
-    let flat = image.color_matrix_find_first(order).map(|(_, m)| m)?;
+    let (illuminant, flat) = image.color_matrix_find_first(order)?;
     if flat.len() != 9 || !flat.iter().all(|v| v.is_finite()) {
         return None;
     }
-    let matrix = std::array::from_fn(|i| std::array::from_fn(|j| f64::from(flat[3 * i + j])));
-    matrix.iter().flatten().any(|v: &f64| *v != 0.0).then_some(matrix)
+    let matrix: Matrix = std::array::from_fn(|i| std::array::from_fn(|j| f64::from(flat[3 * i + j])));
+    matrix.iter().flatten().any(|v: &f64| *v != 0.0).then_some((illuminant, matrix))
+}
+
+/// What a DNG says of this copy of its camera, beside the colour matrix: gains before the samples were stored (`AnalogBalance`), and how the copy differs from
+/// the model (`CameraCalibration` of the matrix's illuminant, where the profile is for it). `None` where it is nothing.
+///
+/// DNG specification 1.6, chapter 6: XYZ to camera is `AB · CC · CM`.
+///
+/// # Errors
+/// Lists of the wrong length, gains that are none, a matrix without an inverse.
+pub(super) fn of_copy(path: &Path, root: &IFD, image: &RawImage) -> Result<Option<Matrix>> {
+    if image.cpp != 3 && !matches!(image.photometric, rawler::rawimage::RawPhotometricInterpretation::Cfa(_)) {
+        return Ok(None);
+    }
+    let diagonal = |v: &[f64]| std::array::from_fn(|i| std::array::from_fn(|j| if i == j { v[i] } else { 0.0 }));
+    let identity: Matrix = diagonal(&[1.0; 3]);
+    let balance = match numbers(root, DngTag::AnalogBalance) {
+        None => identity,
+        Some(list) if list.len() == 3 && list.iter().all(|v| v.is_finite() && (1e-3..=1e3).contains(v)) => {
+            diagonal(&list)
+        }
+        Some(list) => {
+            return Err(bad(path, format!("AnalogBalance {list:?}"), "three gains, from 0.001 to 1000"));
+        }
+    };
+    // The second of two for one illuminant is the decoder's matrix.
+    let illuminant = |tag: DngTag| numbers(root, tag).and_then(|v| v.first().copied());
+    let found = nearest(image).map(|(illuminant, _)| f64::from(u16::from(illuminant)));
+    let second = numbers(root, DngTag::ColorMatrix2).is_some()
+        && found.is_some()
+        && illuminant(DngTag::CalibrationIlluminant2).unwrap_or(21.0) == found.unwrap_or_default();
+    let (tag, name) = if second {
+        (DngTag::CameraCalibration2, "CameraCalibration2")
+    } else {
+        (DngTag::CameraCalibration1, "CameraCalibration1")
+    };
+    let signature = |tag: DngTag| {
+        let entry = root.get_entry(tag);
+        entry.map(|e| e.value.as_string().cloned().unwrap_or_else(|| format!("{:?}", e.value))).unwrap_or_default()
+    };
+    let is_for_it = signature(DngTag::CameraCalibrationSignature) == signature(DngTag::ProfileCalibrationSignature);
+    let calibration = match numbers(root, tag).filter(|_| is_for_it) {
+        None => identity,
+        Some(list) => {
+            let matrix: Option<Matrix> = (list.len() == 9 && list.iter().all(|v| v.is_finite()))
+                .then(|| std::array::from_fn(|i| std::array::from_fn(|j| list[3 * i + j])));
+            match matrix.filter(|m| inverse(m).is_some()) {
+                Some(matrix) => matrix,
+                None => return Err(bad(path, format!("{name} {list:?}"), "nine numbers of a matrix with an inverse")),
+            }
+        }
+    };
+    let all = product(&balance, &calibration);
+    Ok((all != identity).then_some(all))
+}
+
+/// Neutral and matrix of a camera whose copy differs by `copy`: where the file states the white's chromaticity the decoder's neutral is the model's; the matrix is for
+/// what is neutral in the picture adapted to D65 (Bradford), as the specification maps it.
+pub(super) fn with_copy(
+    copy: &Matrix,
+    neutral: Option<[f64; 3]>,
+    matrix: Option<Matrix>,
+    by_chromaticity: bool,
+) -> (Option<[f64; 3]>, Option<Matrix>) {
+    let neutral = match neutral {
+        Some(of_model) if by_chromaticity => {
+            let response = applied(copy, of_model);
+            let response = response.map(|v| v / response[1]);
+            response.iter().all(|v| v.is_finite() && (0.02..=50.0).contains(v)).then_some(response)
+        }
+        other => other,
+    };
+    let matrix = matrix.map(|model| {
+        let camera = product(copy, &model);
+        let adapted = neutral.and_then(|neutral| adapted(&camera, neutral));
+        adapted.unwrap_or(camera)
+    });
+    // Facts go to another process in 32 bits.
+    let single = |v: f64| f64::from(v as f32);
+    (neutral.map(|n| n.map(single)), matrix.map(|m| m.map(|row| row.map(single))))
+}
+
+/// The response to light under which what is seen as `neutral` is D65; `None` where it is no light.
+fn adapted(camera: &Matrix, neutral: [f64; 3]) -> Option<Matrix> {
+    let white = applied(&inverse(camera)?, neutral);
+    let seen = applied(&BRADFORD, white.map(|v| v / white[1]));
+    let d65 = applied(&BRADFORD, XYZ_FROM_SRGB.map(|row| row.iter().sum()));
+    if !(white[1] > 0.0 && seen.iter().all(|v| v.is_finite() && *v > 1e-3)) {
+        return None;
+    }
+    // From D65 back to the white.
+    let back: Matrix = std::array::from_fn(|i| std::array::from_fn(|j| BRADFORD[i][j] * seen[i] / d65[i]));
+    Some(product(camera, &product(&inverse(&BRADFORD)?, &back)))
+}
+
+fn applied(m: &Matrix, v: [f64; 3]) -> [f64; 3] {
+    m.map(|row| row.iter().zip(v).map(|(m, v)| m * v).sum())
+}
+
+/// Numbers of an entry; `None` where there is none. What is no number is NaN.
+fn numbers<T: TiffTag>(directory: &IFD, tag: T) -> Option<Vec<f64>> {
+    let entry = directory.get_entry(tag)?;
+    let one = |k: usize| entry.get_f32(k).ok().flatten().map_or(f64::NAN, f64::from);
+    Some((0..entry.count() as usize).map(one).collect())
 }

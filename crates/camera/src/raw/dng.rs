@@ -4,7 +4,7 @@ use std::path::Path;
 
 use isoplanat_base::error::Result;
 use rawler::formats::tiff::IFD;
-use rawler::tags::{DngTag, TiffCommonTag};
+use rawler::tags::{DngTag, ExifTag, TiffCommonTag};
 
 use super::filter::{Filter, filter};
 use super::levels::Deltas;
@@ -60,6 +60,49 @@ pub(super) fn check_filter(path: &Path, directory: &IFD) -> Result<()> {
         }
         _ => Ok(()),
     }
+}
+
+/// Refuses bits that the decoder would take the other way round.
+pub(super) fn check_order(path: &Path, directory: &IFD) -> Result<()> {
+    match directory.get_entry(ExifTag::FillOrder).map(|entry| entry.force_u32(0)) {
+        None | Some(1) => Ok(()),
+        Some(order) => Err(bad(path, format!("bits in reverse order (FillOrder {order})"), "FillOrder 1")),
+    }
+}
+
+/// The newest version of the format that is known here; what newer readers need is told.
+const KNOWN: [f32; 3] = [1.0, 7.0, 1.0];
+
+/// What the file asks for in its first directory and is not done: a newer reader, an exposure, a profile's look.
+pub(super) fn look_left_out(root: &IFD) -> Vec<String> {
+    let mut notes = Vec::new();
+    if let Some(version) = numbers(root, DngTag::DNGBackwardVersion).filter(|v| v[..3.min(v.len())] > KNOWN[..]) {
+        let words: Vec<String> = version.iter().map(f32::to_string).collect();
+        notes.push(format!(
+            "the file is for readers of DNG {} (DNGBackwardVersion), 1.7.1 is known here; the picture may be wrong",
+            words.join(".")
+        ));
+    }
+    let steps = |tag: DngTag| numbers(root, tag).and_then(|v| v.first().copied()).unwrap_or(0.0);
+    let exposure = steps(DngTag::BaselineExposure) + steps(DngTag::BaselineExposureOffset);
+    if exposure != 0.0 {
+        notes.push(format!(
+            "the exposure that the file asks for is left out (BaselineExposure, {exposure:+} steps); --exposure {exposure} makes it"
+        ));
+    }
+    let looks = [
+        (DngTag::ForwardMatrix1, "ForwardMatrix1"),
+        (DngTag::ForwardMatrix2, "ForwardMatrix2"),
+        (DngTag::ProfileHueSatMapDims, "ProfileHueSatMap"),
+        (DngTag::ProfileLookTableDims, "ProfileLookTable"),
+        (DngTag::ProfileToneCurve, "ProfileToneCurve"),
+        (DngTag::RGBTables, "RGBTables"),
+    ];
+    let left: Vec<&str> = looks.into_iter().filter(|(tag, _)| root.get_entry(*tag).is_some()).map(|(_, n)| n).collect();
+    if !left.is_empty() {
+        notes.push(format!("the file's colour profile is left out but for its matrix ({})", left.join(", ")));
+    }
+    notes
 }
 
 /// Steps of black by row and column of the active area of `(rows, columns)`.

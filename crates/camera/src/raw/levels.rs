@@ -5,7 +5,7 @@
 
 use isoplanat_base::error::Result;
 use ndarray::ArrayViewMut2;
-use rawler::rawimage::RawImage;
+use rawler::rawimage::{RawImage, RawImageData};
 use std::path::Path;
 
 use super::{ALLOWED, bad};
@@ -89,6 +89,15 @@ impl Levels {
         let all = table.levels.iter().chain(&of_rows).chain(&of_columns).chain(&white_levels);
         if let Some(level) = all.copied().find(|level| !LEVELS.contains(level)) {
             return Err(bad(path, format!("a level of {level}"), "levels within those of 32 bits"));
+        }
+        // Samples of 16 bits would never reach it: the picture would be black.
+        let whole = matches!(image.data, RawImageData::Integer(_));
+        if let Some(white) = white_levels.iter().find(|white| whole && **white > f32::from(u16::MAX)) {
+            return Err(bad(
+                path,
+                format!("white level {white}"),
+                "levels in digital numbers, as the sensor gave them",
+            ));
         }
         let colours = image.cpp == 3;
         let cell = if colours { 1 } else { 2 };

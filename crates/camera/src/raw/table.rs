@@ -149,7 +149,7 @@ fn levels_beyond_all_samples_are_refused() {
         (stated(50716, &[-8.5e37; ROWS]), "a level of -8.5e37"),
         (stated(50716, &steps), "a level of -8.5e37"),
         (stated(50716, &[-4e9; ROWS]).longs(50717, &[1]), "black"),
-        (base().longs(50714, &[4_294_967_040]).longs(50717, &[4_294_967_041]), "black"),
+        (base().longs(50714, &[4_294_967_040]).longs(50717, &[4_294_967_041]), "white level"),
     ] {
         match decoded(&wrong) {
             Ok(capture) => assert!(capture.black.iter().zip(&capture.white).all(|(b, w)| b < w), "{words}"),

@@ -137,3 +137,76 @@ fn a_file_cut_short_is_an_error_not_a_panic() {
         }
     }
 }
+
+/// A DNG of a neutral beside a colour, whose matrix is no camera's in particular.
+fn coloured() -> super::synthetic::Synthetic {
+    let matrix = [0.6, 0.05, -0.05, -0.5, 1.3, 0.2, -0.1, 0.2, 0.55];
+    super::synthetic::Synthetic::new(8, 8, 1, |_, _, _| 1000).ratios(50721, &matrix).put(
+        50728,
+        5,
+        3,
+        [55u32, 100, 1, 1, 7, 10].iter().flat_map(|v| v.to_le_bytes()).collect(),
+    )
+}
+
+fn decoded(file: &super::synthetic::Synthetic) -> Result<RawCapture> {
+    decode_bytes(file.file(), std::path::Path::new("a.dng"))
+}
+
+/// What 544, 744, 344 of 3839 above black become, in linear sRGB.
+fn light(capture: &RawCapture) -> [f64; 3] {
+    let matrix = capture.camera_from_xyz.expect("a matrix");
+    let srgb = isoplanat_imaging::develop::srgb_from_camera(&matrix).expect("regular");
+    let neutral = capture.neutral.expect("as shot");
+    let seen = [544.0, 744.0, 344.0].map(|v| v / 3839.0);
+    srgb.map(|row| (0..3).map(|k| row[k] * seen[k] / neutral[k]).sum())
+}
+
+/// DNG specification, "Mapping camera colour space to CIE XYZ": XYZ to camera is `AB · CC · CM`; expected by a computation of its own, in Python.
+#[test]
+fn gains_and_calibration_of_the_copy_are_in_its_matrix() {
+    let close = |file: &super::synthetic::Synthetic, wanted: [f64; 3]| {
+        let found = light(&decoded(file).expect("decodes"));
+        assert!(found.iter().zip(wanted).all(|(a, b)| (a - b).abs() < 2e-4), "{found:?} {wanted:?}");
+    };
+    let (plain, copied) = ([0.3497, 0.2029, 0.0980], [0.3672, 0.2052, 0.0944]);
+    let twice = [2.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    close(&coloured(), plain);
+    close(&coloured().ratios(50727, &[1.0; 3]), plain);
+    close(&coloured().ratios(50727, &[2.0, 1.0, 1.0]), copied);
+    close(&coloured().ratios(50723, &twice), copied);
+    // A calibration of the other matrix, or for another profile, is none of this one's.
+    close(&coloured().ratios(50724, &twice), plain);
+    close(&coloured().ratios(50723, &twice).text(50931, "a").text(50932, "b"), plain);
+    close(&coloured().ratios(50723, &twice).text(50931, "a").text(50932, "a"), copied);
+    // A white that is stated by its chromaticity is seen by the copy.
+    let stated = coloured().without(50728).ratios(50729, &[0.3127, 0.329]);
+    let neutral = |file: &super::synthetic::Synthetic| decoded(file).expect("decodes").neutral.expect("stated");
+    let (model, copy) = (neutral(&stated), neutral(&stated.clone().ratios(50727, &[2.0, 1.0, 1.0])));
+    assert!((copy[0] / model[0] - 2.0).abs() < 1e-4 && (copy[2] / model[2] - 1.0).abs() < 1e-4, "{model:?} {copy:?}");
+    for (wrong, words) in [
+        (coloured().ratios(50727, &[0.0, 1.0, 1.0]), "AnalogBalance"),
+        (coloured().ratios(50723, &[0.0; 9]), "CameraCalibration1"),
+        (coloured().shorts(266, &[2]), "FillOrder 2"),
+        (coloured().longs(50717, &[u32::MAX]), "levels in digital numbers, as the sensor gave them"),
+        (coloured().longs(50717, &[65536]), "white level 65536"),
+    ] {
+        let error = decoded(&wrong).expect_err(words).to_string();
+        assert!(error.contains("a.dng") && error.contains(words), "{error}");
+    }
+}
+
+/// What is not done is told, and nothing where nothing is asked for.
+#[test]
+fn looks_that_are_left_out_are_told() {
+    let notes = |file: &super::synthetic::Synthetic| decoded(file).expect("decodes").notes.join("; ");
+    let nothing = coloured().ratios(50730, &[0.0]).bytes(50707, &[1, 7, 1, 0]);
+    assert_eq!(notes(&nothing), "");
+    for (file, words) in [
+        (coloured().ratios(50730, &[1.0]), "--exposure 1 "),
+        (coloured().ratios(50964, &[0.4, 0.3, 0.2, 0.2, 0.7, 0.1, 0.0, 0.1, 0.7]), "ForwardMatrix1"),
+        (coloured().bytes(50707, &[9, 9, 9, 9]), "9.9.9.9"),
+    ] {
+        assert!(notes(&file).contains(words), "{words}: {}", notes(&file));
+    }
+}

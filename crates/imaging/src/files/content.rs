@@ -8,6 +8,14 @@ use isoplanat_base::error::{Error, Result};
 /// What a picture's file may be.
 pub(super) const ALLOWED: &str = "a PNG, JPEG or TIFF picture, or an array (.npy)";
 
+/// A decoder's failure to read: the system's where it has a number, else what the decoder says of damaged bytes.
+pub(super) fn unread(path: &Path, e: std::io::Error) -> Error {
+    if e.raw_os_error().is_some() {
+        return Error::reading(path, e);
+    }
+    Error::bad(path.display().to_string(), "picture", format!("damaged ({e})"), ALLOWED)
+}
+
 /// Samples of a file.
 pub(super) enum Samples {
     U8(Vec<u8>),
@@ -16,6 +24,27 @@ pub(super) enum Samples {
     Whole(Vec<f64>, u8),
     F32(Vec<f32>),
     F64(Vec<f64>),
+}
+
+/// A channel behind the colours that is not opaque everywhere. It is left out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Alpha {
+    /// The colours are whole.
+    Apart,
+    /// The colours are multiplied by it.
+    Multiplied,
+}
+
+impl Alpha {
+    /// What was done, for whoever reads the picture.
+    pub(super) fn words(self) -> &'static str {
+        match self {
+            Self::Apart => "its alpha (transparency) is left out: colours are taken as if they covered all behind them",
+            Self::Multiplied => {
+                "its colours are multiplied by alpha (transparency) and are taken so: as they stand before black"
+            }
+        }
+    }
 }
 
 /// What a file holds, interleaved: `[row, col, channel]`.
@@ -27,6 +56,8 @@ pub(super) struct Content {
     pub(super) samples: Samples,
     /// How to turn it upright, as Exif has it.
     pub(super) orientation: u8,
+    /// What stands beside the colours and changes them.
+    pub(super) alpha: Option<Alpha>,
     /// What it says of its numbers.
     pub(super) told: Option<Told>,
 }

@@ -5,7 +5,8 @@ use std::path::Path;
 use ndarray::{Array2, Array3, ArrayViewD, Axis};
 use ndarray_npy::{ReadableElement, ViewElement, ViewNpyError, ViewNpyExt, WriteNpyError, WriteNpyExt};
 
-use super::content::{Content, Samples, finite};
+use super::content::{Alpha, Content, Samples, finite};
+use super::read::Room;
 use isoplanat_base::atomic::{Target, read_bounded, write_atomic};
 use isoplanat_base::error::{Error, Result};
 
@@ -36,7 +37,7 @@ const LARGEST: u64 = 4 << 30;
 
 /// Rows and columns.
 pub(super) fn size(path: &Path) -> Result<[usize; 2]> {
-    read(path).map(|content| [content.rows, content.cols])
+    read(path, None).map(|content| [content.rows, content.cols])
 }
 
 /// Whether a file is as long as its array's header says that this is (NumPy's format, versions 1 to 3): its reader makes room for a header before it reads it.
@@ -49,24 +50,30 @@ fn has_header(file: &[u8]) -> bool {
     length <= file.len() as u64
 }
 
-/// The array of a file.
-pub(super) fn read(path: &Path) -> Result<Content> {
+/// The array of a file; refused where there is no room for it.
+pub(super) fn read(path: &Path, room: Option<Room>) -> Result<Content> {
+    if let Some(room) = room {
+        // Two copies while it is put on its boundaries.
+        let bytes = std::fs::metadata(path).map_err(|e| Error::reading(path, e))?.len();
+        room.allow_bytes(path, bytes.saturating_mul(2))?;
+    }
     let file = read_bounded(path, LARGEST)?;
     if file.starts_with(MAGIC) && !has_header(&file) {
         return Err(bad(path, "cut off within its header", "a whole NumPy array (.npy)"));
     }
     // A view never makes room for what a header promises and the file has not; it asks for numbers on their boundaries.
-    let mut room = vec![0u8; file.len() + ALIGNMENT];
-    let start = room.as_ptr().align_offset(ALIGNMENT).min(ALIGNMENT);
-    room[start..start + file.len()].copy_from_slice(&file);
-    let bytes = &room[start..start + file.len()];
+    let mut aligned = vec![0u8; file.len() + ALIGNMENT];
+    let start = aligned.as_ptr().align_offset(ALIGNMENT).min(ALIGNMENT);
+    aligned[start..start + file.len()].copy_from_slice(&file);
+    let bytes = &aligned[start..start + file.len()];
     drop(file);
+    // With what is opaque, and the bytes that a sample takes at most.
     let tried = [
-        view::<f32>(path, bytes, Samples::F32),
-        view::<f64>(path, bytes, Samples::F64),
-        view::<u8>(path, bytes, Samples::U8),
-        view::<u16>(path, bytes, Samples::U16),
-        view::<u32>(path, bytes, |v| {
+        view::<f32>(path, (bytes, room), (1.0, 4), Samples::F32),
+        view::<f64>(path, (bytes, room), (1.0, 8), Samples::F64),
+        view::<u8>(path, (bytes, room), (u8::MAX, 1), Samples::U8),
+        view::<u16>(path, (bytes, room), (u16::MAX, 2), Samples::U16),
+        view::<u32>(path, (bytes, room), (u32::MAX, 4 + 8), |v| {
             Samples::Whole(v.into_iter().map(|v| f64::from(v) / f64::from(u32::MAX)).collect(), 32)
         }),
     ];
@@ -79,9 +86,10 @@ pub(super) fn read(path: &Path) -> Result<Content> {
 }
 
 /// The array if its numbers are `S`.
-fn view<S: Copy + ViewElement + ReadableElement>(
+fn view<S: Copy + PartialOrd + ViewElement + ReadableElement>(
     path: &Path,
-    bytes: &[u8],
+    (bytes, room): (&[u8], Option<Room>),
+    (top, kept): (S, usize),
     samples: impl Fn(Vec<S>) -> Samples,
 ) -> Result<Option<Content>> {
     let array = match ArrayViewD::<S>::view_npy(bytes) {
@@ -91,13 +99,18 @@ fn view<S: Copy + ViewElement + ReadableElement>(
     };
     let [rows, cols, stored] = shape(path, array.shape())?;
     let channels = if stored == 1 { 1 } else { 3 };
+    if let Some(room) = room {
+        room.allow(path, [rows, cols], bytes.len() as u64, (channels, kept))?;
+    }
     let mut array = array;
+    let mut alpha = None;
     if stored == 4 {
+        alpha = array.index_axis(Axis(2), 3).iter().any(|v| *v < top).then_some(Alpha::Apart);
         array.slice_axis_inplace(Axis(2), ndarray::Slice::from(0..3));
     }
     // In the order of rows, whatever the file's.
     let samples = samples(array.iter().copied().collect());
-    Ok(Some(Content { rows, cols, channels, samples, orientation: 1, told: None }))
+    Ok(Some(Content { rows, cols, channels, samples, orientation: 1, alpha, told: None }))
 }
 
 /// Writes linear channels, `[channel, row, col]`, as float32: `[row, col, 3]`, or `[row, col]` for one channel.

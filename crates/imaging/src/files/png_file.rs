@@ -18,7 +18,7 @@ const P3: u8 = 12;
 
 fn refused(path: &Path, e: DecodingError) -> Error {
     match e {
-        DecodingError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Error::reading(path, e),
+        DecodingError::IoError(e) => super::content::unread(path, e),
         e => Error::bad(path.display().to_string(), "picture", e.to_string(), super::content::ALLOWED),
     }
 }

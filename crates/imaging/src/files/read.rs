@@ -8,15 +8,45 @@ use image::{DynamicImage, ImageDecoder, ImageError, ImageReader};
 use ndarray::{Array3, Axis};
 use rayon::prelude::*;
 
-use super::content::{ALLOWED, Content, Samples, finite};
+use super::content::{ALLOWED, Alpha, Content, Samples, finite, unread};
 use super::{jpeg, npy, png_file, tiff_file};
 use crate::develop::profile::{Curve, Told};
 use crate::exif::Turn;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_base::math::memory::{Limit, product};
 
-/// Bytes a pixel that a picture takes beside what its decoder gives: samples of one kind, three planes.
-const PIXEL: usize = 3 * (2 + 8);
+/// Bytes of the planes that are made of a pixel: [`read_stored`]'s three, [`read_planes`]' as many as it has.
+type Made = fn(channels: usize) -> usize;
+const STORED: Made = |_| 3 * size_of::<f32>();
+const PLANES: Made = |channels| channels * size_of::<f64>();
+
+/// What reading a picture may take, and what is made of it.
+#[derive(Clone, Copy)]
+pub(super) struct Room {
+    memory: Limit,
+    made: Made,
+}
+
+impl Room {
+    /// Refuses a picture whose pixels there is no memory for, before they are decoded: `decoding` bytes of the decoder, samples of `sample` bytes a channel,
+    /// and the planes that are made of them.
+    pub(super) fn allow(
+        &self,
+        path: &Path,
+        [rows, cols]: [usize; 2],
+        decoding: u64,
+        (channels, sample): (usize, usize),
+    ) -> Result<()> {
+        let bytes = product(&[rows, cols, channels * sample + (self.made)(channels)]).saturating_add(decoding);
+        let picture = format!("{}: {cols} × {rows} pixels", path.display());
+        self.memory.allow(&picture, bytes, "a smaller picture")
+    }
+
+    /// Refuses a file that is read whole, before its size in pixels is known.
+    pub(super) fn allow_bytes(&self, path: &Path, bytes: u64) -> Result<()> {
+        self.memory.allow(&path.display().to_string(), bytes, "a smaller picture")
+    }
+}
 
 /// What the numbers of an integer picture stand for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,6 +68,8 @@ pub struct Planes {
     pub encoding: Encoding,
     /// The same in words, and whether the file said so itself.
     pub taken: &'static str,
+    /// In words, what of the file is left out, where that changes what is seen: alpha that is not opaque.
+    pub left_out: Option<&'static str>,
 }
 
 /// A picture as it is stored, not turned upright.
@@ -51,6 +83,8 @@ pub struct Stored {
     pub bits: Option<u8>,
     /// Whether the file said what its numbers stand for.
     pub told: bool,
+    /// As [`Planes::left_out`].
+    pub left_out: Option<&'static str>,
 }
 
 /// Reads a picture to linear sRGB, upright: whole numbers in `[0, 1]`, taken as the file says, or as sRGB-encoded where it says nothing.
@@ -58,8 +92,17 @@ pub struct Stored {
 /// # Shapes
 /// Result `[3, row, col]`.
 pub fn read_linear(path: &Path) -> Result<Array3<f32>> {
-    let Stored { image, orientation, .. } = read_stored(path, None)?;
-    Ok(upright(image, orientation))
+    Ok(read_seen_within(path, Limit::of_process())?.image)
+}
+
+/// As [`read_linear`], within `memory`; upright, with the rest of what [`read_stored`] says.
+///
+/// # Errors
+/// As [`read_stored`].
+#[doc(hidden)]
+pub fn read_seen_within(path: &Path, memory: Limit) -> Result<Stored> {
+    let stored = read_stored_within(path, None, memory)?;
+    Ok(Stored { image: upright(stored.image, stored.orientation), orientation: 1, ..stored })
 }
 
 /// Rows and columns that a picture's file states, either way round; its pixels are not read.
@@ -91,11 +134,20 @@ pub fn read_picture(path: &Path, encoding: Encoding) -> Result<Array3<f32>> {
 /// it says nothing.
 ///
 /// # Errors
-/// A file that cannot be read, or is no picture.
+/// A file that cannot be read, or is no picture; one that there is no memory for.
 pub fn read_stored(path: &Path, encoding: Option<Encoding>) -> Result<Stored> {
-    let content = content(path)?;
+    read_stored_within(path, encoding, Limit::of_process())
+}
+
+/// As [`read_stored`], within `memory`: a picture that needs more is refused before its pixels are decoded.
+///
+/// # Errors
+/// As [`read_stored`].
+#[doc(hidden)]
+pub fn read_stored_within(path: &Path, encoding: Option<Encoding>, memory: Limit) -> Result<Stored> {
+    let content = content(path, Room { memory, made: STORED })?;
     let taken = Taken::of(encoding, &content, Curve::Srgb);
-    let orientation = content.orientation;
+    let (orientation, left_out) = (content.orientation, content.alpha.map(Alpha::words));
     let single = |v: f64| v as f32;
     let (bits, mut image) = match &content.samples {
         Samples::F32(v) => (None, planes(&content, 3, v, |_, v| v)),
@@ -113,7 +165,7 @@ pub fn read_stored(path: &Path, encoding: Option<Encoding>) -> Result<Stored> {
     if let (Some(matrix), 3) = (taken.to_srgb, content.channels) {
         turn(&mut image, &matrix, bits.is_some());
     }
-    Ok(Stored { image, orientation, bits, told: taken.told })
+    Ok(Stored { image, orientation, bits, told: taken.told, left_out })
 }
 
 /// Colours by a matrix; what leaves `[0, 1]` is put at its border where the samples are whole numbers.
@@ -183,7 +235,7 @@ pub fn read_sensor_planes(path: &Path, encoding: Option<Encoding>) -> Result<Pla
 
 /// Channels as they are stored, and Exif's orientation.
 fn stored_planes(path: &Path, encoding: Option<Encoding>) -> Result<(Planes, u8)> {
-    let content = content(path)?;
+    let content = content(path, Room { memory: Limit::of_process(), made: PLANES })?;
     let usual = if matches!(content.samples, Samples::U8(_)) { Curve::Srgb } else { Curve::Linear };
     let taken = Taken::of(encoding, &content, usual);
     let channels = content.channels;
@@ -202,7 +254,8 @@ fn stored_planes(path: &Path, encoding: Option<Encoding>) -> Result<(Planes, u8)
     };
     // Floating point is linear.
     let (encoding, taken) = if bits.is_some() { taken.words() } else { (Encoding::Linear, "linear") };
-    Ok((Planes { values, bits, encoding, taken }, content.orientation))
+    let left_out = content.alpha.map(Alpha::words);
+    Ok((Planes { values, bits, encoding, taken, left_out }, content.orientation))
 }
 
 /// Light of all sample values of each channel.
@@ -266,24 +319,24 @@ fn kind(path: &Path) -> Result<Kind> {
 }
 
 /// What a file holds. A decoder that gives up in the middle of a form that it does not know is refused as any.
-fn content(path: &Path) -> Result<Content> {
-    catch_unwind(|| decoded_content(path)).unwrap_or_else(|_| {
+fn content(path: &Path, room: Room) -> Result<Content> {
+    catch_unwind(|| decoded_content(path, room)).unwrap_or_else(|_| {
         let file = path.display().to_string();
         Err(Error::bad(file, "picture", "a form that its decoder gives up on", ALLOWED))
     })
 }
 
-fn decoded_content(path: &Path) -> Result<Content> {
+fn decoded_content(path: &Path, room: Room) -> Result<Content> {
     match kind(path)? {
-        Kind::Array => npy::read(path),
+        Kind::Array => npy::read(path, Some(room)),
         // Forms that the `image` crate knows too go its way: palettes, CMYK, bilevel.
-        Kind::Tiff => tiff_file::read(path)?.map_or_else(|| picture(path), Ok),
-        Kind::Other => picture(path),
+        Kind::Tiff => tiff_file::read(path, room)?.map_or_else(|| picture(path, room), Ok),
+        Kind::Other => picture(path, room),
     }
 }
 
 /// A picture that the `image` crate reads.
-fn picture(path: &Path) -> Result<Content> {
+fn picture(path: &Path, room: Room) -> Result<Content> {
     let refused = |e| refused(path, e);
     let failed = |e| Error::reading(path, e);
     let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format).map_err(failed)?;
@@ -296,7 +349,10 @@ fn picture(path: &Path) -> Result<Content> {
     }
     let png = reader.format() == Some(image::ImageFormat::Png);
     let mut decoder = reader.into_decoder().map_err(refused)?;
-    room(path, &decoder)?;
+    let (cols, rows) = decoder.dimensions();
+    let color = decoder.color_type();
+    let samples = (if color.has_color() { 3 } else { 1 }, usize::from(color.bytes_per_pixel() / color.channel_count()));
+    room.allow(path, [rows as usize, cols as usize], decoder.total_bytes(), samples)?;
     let told = if png {
         png_file::check_palette(path)?;
         png_file::told(path)?
@@ -307,9 +363,13 @@ fn picture(path: &Path) -> Result<Content> {
     let picture = DynamicImage::from_decoder(decoder).map_err(refused)?;
     let (rows, cols) = (picture.height() as usize, picture.width() as usize);
     let channels = if picture.color().has_color() { 3 } else { 1 };
+    let alpha = is_seen_through(&picture).then_some(Alpha::Apart);
     if matches!(picture, DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_)) {
         let samples = picture.into_rgb32f().into_raw();
-        return finite(path, Content { rows, cols, channels, samples: Samples::F32(samples), orientation, told });
+        return finite(
+            path,
+            Content { rows, cols, channels, samples: Samples::F32(samples), orientation, alpha, told },
+        );
     }
     let deep = picture.color().bytes_per_pixel() / picture.color().channel_count() > 1;
     let samples = match (deep, channels) {
@@ -318,20 +378,24 @@ fn picture(path: &Path) -> Result<Content> {
         (false, 1) => Samples::U8(picture.into_luma8().into_raw()),
         (false, _) => Samples::U8(picture.into_rgb8().into_raw()),
     };
-    Ok(Content { rows, cols, channels, samples, orientation, told })
+    Ok(Content { rows, cols, channels, samples, orientation, alpha, told })
 }
 
-/// Refuses a picture whose pixels there is no memory for, before they are asked for: as the decoder gives them, as they are converted, and the planes that are made of them.
-fn room(path: &Path, decoder: &impl ImageDecoder) -> Result<()> {
-    let (cols, rows) = decoder.dimensions();
-    let bytes = product(&[rows as usize, cols as usize, PIXEL]).saturating_add(decoder.total_bytes());
-    let picture = format!("{}, {cols} × {rows} pixels", path.display());
-    Limit::of_process().allow(&picture, bytes, "a smaller picture")
+/// Whether a picture has an alpha that is not opaque everywhere.
+fn is_seen_through(picture: &DynamicImage) -> bool {
+    match picture {
+        DynamicImage::ImageLumaA8(v) => v.pixels().any(|p| p.0[1] < u8::MAX),
+        DynamicImage::ImageLumaA16(v) => v.pixels().any(|p| p.0[1] < u16::MAX),
+        DynamicImage::ImageRgba8(v) => v.pixels().any(|p| p.0[3] < u8::MAX),
+        DynamicImage::ImageRgba16(v) => v.pixels().any(|p| p.0[3] < u16::MAX),
+        DynamicImage::ImageRgba32F(v) => v.pixels().any(|p| p.0[3] < 1.0),
+        _ => false,
+    }
 }
 
 fn refused(path: &Path, e: ImageError) -> Error {
     match e {
-        ImageError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Error::reading(path, e),
+        ImageError::IoError(e) => unread(path, e),
         e => Error::bad(path.display().to_string(), "picture", e.to_string(), ALLOWED),
     }
 }

@@ -5,21 +5,26 @@ use std::io::BufReader;
 use std::path::Path;
 
 use tiff::decoder::{Decoder, DecodingResult, Limits};
-use tiff::tags::Tag;
+use tiff::tags::{CompressionMethod, ExtraSamples, SampleFormat, Tag};
 use tiff::{ColorType, TiffError};
 
-use super::content::{ALLOWED, Content, Samples, finite};
+use super::content::{ALLOWED, Alpha, Content, Samples, finite, unread};
+use super::read::Room;
 use crate::develop::profile::Told;
 use isoplanat_base::error::{Error, Result};
+use isoplanat_base::math::memory::product;
 
 /// Bytes of a picture at most.
 const LARGEST: usize = 4 << 30;
 /// How many bytes one of a compressed file can stand for: what deflate reaches, and some.
 const EXPANSION: usize = 1100;
 
+/// Compressions that differences of pixels belong to: LZW, deflate by both numbers, Zstandard.
+const PREDICTED: [u16; 4] = [5, 8, 32946, 50000];
+
 fn refused(path: &Path, e: TiffError) -> Error {
     match e {
-        TiffError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Error::reading(path, e),
+        TiffError::IoError(e) => unread(path, e),
         e => Error::bad(path.display().to_string(), "picture", e.to_string(), ALLOWED),
     }
 }
@@ -40,7 +45,7 @@ pub(super) fn size(path: &Path) -> Result<[usize; 2]> {
 }
 
 /// The samples of the first picture; `None` for forms that go another way.
-pub(super) fn read(path: &Path) -> Result<Option<Content>> {
+pub(super) fn read(path: &Path, room: Room) -> Result<Option<Content>> {
     let refused = |e| refused(path, e);
     let bad = |found: String, allowed: &str| Error::bad(path.display().to_string(), "picture", found, allowed);
     let mut decoder = open(path)?;
@@ -48,6 +53,13 @@ pub(super) fn read(path: &Path) -> Result<Option<Content>> {
     let fill = decoder.find_tag_unsigned::<u16>(Tag::FillOrder).map_err(refused)?;
     if fill.is_some_and(|order| order != 1) {
         return Err(bad("bits in reverse order (FillOrder 2)".into(), "FillOrder 1"));
+    }
+    let compression = decoder.find_tag_unsigned::<u16>(Tag::Compression).map_err(refused)?.unwrap_or(1);
+    let predictor = decoder.find_tag_unsigned::<u16>(Tag::Predictor).map_err(refused)?.unwrap_or(1);
+    if predictor != 1 && !PREDICTED.contains(&compression) {
+        // Some readers add the differences up, others take them as they stand: TIFF 6.0 (section 14) has them beside LZW alone.
+        let found = format!("differences of pixels (Predictor {predictor}) that are not compressed by LZW or deflate");
+        return Err(bad(found, "Predictor 1, or LZW or deflate"));
     }
     let (bits, bands) = match decoder.colortype().map_err(refused)? {
         ColorType::Gray(bits) => (bits, 1),
@@ -68,8 +80,14 @@ pub(super) fn read(path: &Path) -> Result<Option<Content>> {
     };
     let orientation = decoder.find_tag_unsigned::<u16>(Tag::Orientation).map_err(refused)?;
     let orientation = orientation.and_then(|v| u8::try_from(v).ok()).filter(|v| (1..=8).contains(v)).unwrap_or(1);
+    let extra = decoder.find_tag_unsigned_vec::<u16>(Tag::ExtraSamples).map_err(refused)?;
+    let multiplied = extra.is_some_and(|v| v.first() == Some(&ExtraSamples::AssociatedAlpha.to_u16()));
     let profile = decoder.find_tag(Tag::IccProfile).map_err(refused)?;
     let told = profile.and_then(|v| v.into_u8_vec().ok()).and_then(|profile| Told::by_icc(&profile));
+    let format = decoder.find_tag_unsigned_vec::<u16>(Tag::SampleFormat).map_err(refused)?;
+    let float = format.is_some_and(|v| v.first() == Some(&SampleFormat::IEEEFP.to_u16()));
+    let size = [rows as usize, cols as usize];
+    room.allow(path, size, decoding(&mut decoder, size, bands, bits).map_err(refused)?, (channels, kept(bits, float)))?;
     let mut result = DecodingResult::U8(Vec::new());
     let layout = decoder.read_image_to_buffer(&mut result).map_err(refused)?;
     if result.as_buffer(0).as_bytes().len() < layout.complete_len {
@@ -77,20 +95,53 @@ pub(super) fn read(path: &Path) -> Result<Option<Content>> {
     }
     let shape = Shape { pixels: rows as usize * cols as usize, bands, channels, planar: layout.planes > 1 };
     let whole = |v: Vec<f64>, bits: u8| Samples::Whole(v, bits);
+    let mut opaque = true;
+    let seen = &mut opaque;
     let samples = match result {
-        DecodingResult::U8(v) => shape.taken(&v, |v| v).map(Samples::U8),
-        DecodingResult::U16(v) => shape.taken(&v, |v| v).map(Samples::U16),
-        DecodingResult::U32(v) => shape.taken(&v, |v| f64::from(v) / f64::from(u32::MAX)).map(|v| whole(v, 32)),
-        DecodingResult::U64(v) => shape.taken(&v, |v| v as f64 / u64::MAX as f64).map(|v| whole(v, 64)),
-        DecodingResult::F16(v) => shape.taken(&v, |v| v.to_f32()).map(Samples::F32),
-        DecodingResult::F32(v) => shape.taken(&v, |v| v).map(Samples::F32),
-        DecodingResult::F64(v) => shape.taken(&v, |v| v).map(Samples::F64),
+        DecodingResult::U8(v) => shape.taken(&v, |v| v, u8::MAX, seen).map(Samples::U8),
+        DecodingResult::U16(v) => shape.taken(&v, |v| v, u16::MAX, seen).map(Samples::U16),
+        DecodingResult::U32(v) => {
+            shape.taken(&v, |v| f64::from(v) / f64::from(u32::MAX), 1.0, seen).map(|v| whole(v, 32))
+        }
+        DecodingResult::U64(v) => shape.taken(&v, |v| v as f64 / u64::MAX as f64, 1.0, seen).map(|v| whole(v, 64)),
+        DecodingResult::F16(v) => shape.taken(&v, |v| v.to_f32(), 1.0, seen).map(Samples::F32),
+        DecodingResult::F32(v) => shape.taken(&v, |v| v, 1.0, seen).map(Samples::F32),
+        DecodingResult::F64(v) => shape.taken(&v, |v| v, 1.0, seen).map(Samples::F64),
         DecodingResult::I8(_) | DecodingResult::I16(_) | DecodingResult::I32(_) | DecodingResult::I64(_) => {
             return Err(bad("signed whole numbers".into(), "whole numbers from 0, or floating point"));
         }
     };
     let samples = samples.ok_or_else(|| bad("fewer samples than pixels".into(), "a complete file"))?;
-    finite(path, Content { rows: rows as usize, cols: cols as usize, channels, samples, orientation, told }).map(Some)
+    let alpha = (!opaque).then_some(if multiplied { Alpha::Multiplied } else { Alpha::Apart });
+    let [rows, cols] = size;
+    finite(path, Content { rows, cols, channels, samples, orientation, alpha, told }).map(Some)
+}
+
+/// Bytes that a sample takes once it is decoded, in [`Samples`].
+fn kept(bits: u8, float: bool) -> usize {
+    match (bits, float) {
+        (8, _) => 1,
+        (16, false) => 2,
+        (16 | 32, true) => 4,
+        _ => 8,
+    }
+}
+
+/// Bytes that a decoder takes: all bands, and what it holds of the piece in hand, a JPEG all of it and others a row.
+fn decoding(
+    decoder: &mut Decoder<BufReader<File>>,
+    [rows, cols]: [usize; 2],
+    bands: usize,
+    bits: u8,
+) -> Result<u64, TiffError> {
+    let compression = decoder.find_tag_unsigned::<u16>(Tag::Compression)?;
+    let (wide, high) = decoder.chunk_dimensions();
+    let high = match compression.map(CompressionMethod::from_u16_exhaustive) {
+        Some(CompressionMethod::JPEG | CompressionMethod::ModernJPEG) => (high as usize).min(rows),
+        _ => 1,
+    };
+    let sample = usize::from(bits / 8);
+    Ok(product(&[rows, cols, bands, sample]).saturating_add(product(&[high, wide as usize, bands, sample])))
 }
 
 /// How samples lie.
@@ -105,13 +156,25 @@ struct Shape {
 }
 
 impl Shape {
-    /// The kept channels, pixel after pixel; `None` where samples are missing.
-    fn taken<S: Copy, T>(&self, samples: &[S], value: impl Fn(S) -> T) -> Option<Vec<T>> {
+    /// The kept channels, pixel after pixel; `None` where samples are missing. `opaque` becomes false where what stands behind them is below `top` anywhere.
+    fn taken<S: Copy, T: PartialOrd>(
+        &self,
+        samples: &[S],
+        value: impl Fn(S) -> T,
+        top: T,
+        opaque: &mut bool,
+    ) -> Option<Vec<T>> {
         if samples.len() < self.pixels.checked_mul(self.bands)? {
             return None;
         }
         let at = |pixel: usize, k: usize| if self.planar { k * self.pixels + pixel } else { pixel * self.bands + k };
-        let all = (0..self.pixels).flat_map(|pixel| (0..self.channels).map(move |k| (pixel, k)));
-        Some(all.map(|(pixel, k)| value(samples[at(pixel, k)])).collect())
+        // Room for all of it at once: a list that grows takes twice as much.
+        let mut kept = Vec::with_capacity(self.pixels * self.channels);
+        for pixel in 0..self.pixels {
+            kept.extend((0..self.channels).map(|k| value(samples[at(pixel, k)])));
+        }
+        *opaque = self.bands == self.channels
+            || (0..self.pixels).all(|pixel| value(samples[at(pixel, self.channels)]) >= top);
+        Some(kept)
     }
 }
