@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use isoplanat_base::error::Result;
-use isoplanat_imaging::develop::color::{XYZ_FROM_SRGB, inverse, product};
+use isoplanat_imaging::develop::color::{inverse, product};
 use rawler::formats::tiff::IFD;
 use rawler::imgop::xyz::Illuminant;
 use rawler::rawimage::RawImage;
@@ -12,9 +12,6 @@ use rawler::tags::{DngTag, TiffTag};
 use super::bad;
 
 type Matrix = [[f64; 3]; 3];
-
-/// Cone responses of XYZ (Bradford), in which the specification adapts whites.
-const BRADFORD: Matrix = [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]];
 
 /// Camera response to neutral, green 1, from the gains the file names; `None` where they are missing or absurd.
 pub(super) fn neutral(image: &RawImage, dng: bool) -> Option<[f64; 3]> {
@@ -100,8 +97,8 @@ pub(super) fn of_copy(path: &Path, root: &IFD, image: &RawImage) -> Result<Optio
     Ok((all != identity).then_some(all))
 }
 
-/// Neutral and matrix of a camera whose copy differs by `copy`: where the file states the white's chromaticity the decoder's neutral is the model's; the matrix is for
-/// what is neutral in the picture adapted to D65 (Bradford), as the specification maps it.
+/// Neutral and matrix of a camera whose copy differs by `copy`: where the file states the white's chromaticity the decoder's neutral is the model's. What only scales
+/// the channels goes out again where the matrix is balanced for neutral, as in LibRaw.
 pub(super) fn with_copy(
     copy: &Matrix,
     neutral: Option<[f64; 3]>,
@@ -116,27 +113,10 @@ pub(super) fn with_copy(
         }
         other => other,
     };
-    let matrix = matrix.map(|model| {
-        let camera = product(copy, &model);
-        let adapted = neutral.and_then(|neutral| adapted(&camera, neutral));
-        adapted.unwrap_or(camera)
-    });
+    let matrix = matrix.map(|model| product(copy, &model));
     // Facts go to another process in 32 bits.
     let single = |v: f64| f64::from(v as f32);
     (neutral.map(|n| n.map(single)), matrix.map(|m| m.map(|row| row.map(single))))
-}
-
-/// The response to light under which what is seen as `neutral` is D65; `None` where it is no light.
-fn adapted(camera: &Matrix, neutral: [f64; 3]) -> Option<Matrix> {
-    let white = applied(&inverse(camera)?, neutral);
-    let seen = applied(&BRADFORD, white.map(|v| v / white[1]));
-    let d65 = applied(&BRADFORD, XYZ_FROM_SRGB.map(|row| row.iter().sum()));
-    if !(white[1] > 0.0 && seen.iter().all(|v| v.is_finite() && *v > 1e-3)) {
-        return None;
-    }
-    // From D65 back to the white.
-    let back: Matrix = std::array::from_fn(|i| std::array::from_fn(|j| BRADFORD[i][j] * seen[i] / d65[i]));
-    Some(product(camera, &product(&inverse(&BRADFORD)?, &back)))
 }
 
 fn applied(m: &Matrix, v: [f64; 3]) -> [f64; 3] {

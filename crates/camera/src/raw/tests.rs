@@ -162,23 +162,25 @@ fn light(capture: &RawCapture) -> [f64; 3] {
     srgb.map(|row| (0..3).map(|k| row[k] * seen[k] / neutral[k]).sum())
 }
 
-/// DNG specification, "Mapping camera colour space to CIE XYZ": XYZ to camera is `AB · CC · CM`; expected by a computation of its own, in Python.
+/// DNG specification, "Mapping camera colour space to CIE XYZ": XYZ to camera is `AB · CC · CM`; expected, by a computation of its own in Python, is the inverse of that times
+/// sRGB's primaries, its rows over their sums.
 #[test]
 fn gains_and_calibration_of_the_copy_are_in_its_matrix() {
     let close = |file: &super::synthetic::Synthetic, wanted: [f64; 3]| {
         let found = light(&decoded(file).expect("decodes"));
         assert!(found.iter().zip(wanted).all(|(a, b)| (a - b).abs() < 2e-4), "{found:?} {wanted:?}");
     };
-    let (plain, copied) = ([0.3497, 0.2029, 0.0980], [0.3672, 0.2052, 0.0944]);
-    let twice = [2.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    let (plain, copied) = ([0.3497, 0.2028, 0.0980], [0.3541, 0.2050, 0.0923]);
+    let calibration = [1.1, 0.05, -0.02, 0.03, 0.95, 0.04, -0.02, 0.06, 1.05];
     close(&coloured(), plain);
-    close(&coloured().ratios(50727, &[1.0; 3]), plain);
-    close(&coloured().ratios(50727, &[2.0, 1.0, 1.0]), copied);
-    close(&coloured().ratios(50723, &twice), copied);
+    close(&coloured().ratios(50723, &calibration), copied);
+    // What only scales the channels goes out again with the balance.
+    close(&coloured().ratios(50727, &[2.0, 1.0, 1.0]), plain);
+    close(&coloured().ratios(50723, &calibration).ratios(50727, &[2.0, 1.0, 0.5]), copied);
     // A calibration of the other matrix, or for another profile, is none of this one's.
-    close(&coloured().ratios(50724, &twice), plain);
-    close(&coloured().ratios(50723, &twice).text(50931, "a").text(50932, "b"), plain);
-    close(&coloured().ratios(50723, &twice).text(50931, "a").text(50932, "a"), copied);
+    close(&coloured().ratios(50724, &calibration), plain);
+    close(&coloured().ratios(50723, &calibration).text(50931, "a").text(50932, "b"), plain);
+    close(&coloured().ratios(50723, &calibration).text(50931, "a").text(50932, "a"), copied);
     // A white that is stated by its chromaticity is seen by the copy.
     let stated = coloured().without(50728).ratios(50729, &[0.3127, 0.329]);
     let neutral = |file: &super::synthetic::Synthetic| decoded(file).expect("decodes").neutral.expect("stated");
