@@ -424,18 +424,8 @@ impl Kit {
             let allowed = format!("at least the network's receptive radius, {}", card.receptive_radius_px);
             return bad("model.overlap_px", model.overlap_px.to_string(), allowed);
         }
-        let d = &self.distortion;
-        let finite = d.coefficients_mm.iter().chain([&d.max_slope, &d.residual_mm]).all(|v| v.is_finite());
-        if !(finite && d.max_slope > 0.0) {
-            let listed = d.coefficients_mm.map(|c| c.to_string()).join(", ");
-            let found = format!("coefficients_mm {listed}, max_slope {}, residual_mm {}", d.max_slope, d.residual_mm);
-            return bad("distortion", found, "finite numbers and max_slope above 0".into());
-        }
-        let grows = |i: i32| d.sensor_from_slope_derivative(d.max_slope * f64::from(i) / 256.0) > 0.0;
-        if !(0..=256).all(grows) {
-            return bad("distortion", "image height stops growing".into(), "a model that grows up to max_slope".into());
-        }
-        Ok(())
+        let keys = ["max_slope", "coefficients_mm", "residual_mm"];
+        self.distortion.check(keys).map_err(|e| e.within("distortion").in_file(file))
     }
 }
 

@@ -38,9 +38,28 @@ impl TryFrom<FrameFile> for Frame {
     type Error = Error;
 
     fn try_from(file: FrameFile) -> Result<Self> {
-        let frame = Self::centred(file.columns, file.rows, file.pitch_mm);
-        let frame = frame.and_then(|frame| file.axis_px.map_or(Ok(frame.clone()), |axis_px| frame.with_axis(axis_px)));
-        frame.map_err(|e| e.within("frame"))
+        file.checked().map_err(|e| e.within("frame"))
+    }
+}
+
+/// Pitches of frames in files, mm: those of the sensors that lens files have lie within.
+const PITCHES_MM: std::ops::RangeInclusive<f64> = 1e-5..=1e3;
+/// How far from the first pixel the axis of a frame in a file lies at most, as in lens files.
+const FARTHEST_PX: f64 = 1e6;
+
+impl FrameFile {
+    fn checked(self) -> Result<Frame> {
+        let frame = Frame::centred(self.columns, self.rows, self.pitch_mm)?;
+        if !PITCHES_MM.contains(&self.pitch_mm) {
+            let allowed = format!("{:e} to {} mm", PITCHES_MM.start(), PITCHES_MM.end());
+            return Err(Error::bad("", "pitch_mm", self.pitch_mm.to_string(), allowed));
+        }
+        let Some(axis_px) = self.axis_px else { return Ok(frame) };
+        if !axis_px.iter().all(|v| v.abs() <= FARTHEST_PX) {
+            let allowed = format!("two numbers of pixels from -{FARTHEST_PX:e} to {FARTHEST_PX:e}");
+            return Err(Error::bad("", "axis_px", format!("{axis_px:?}"), allowed));
+        }
+        frame.with_axis(axis_px)
     }
 }
 
@@ -152,6 +171,19 @@ mod tests {
         assert_eq!(toml::from_str::<Frame>(&toml::to_string(&corner).expect("writes")).expect("reads"), corner);
         for bad in ["columns = 0\nrows = 5\npitch_mm = 1.0", "columns = 5\nrows = 5\npitch_mm = nan", "rows = 5"] {
             assert!(toml::from_str::<Frame>(bad).is_err(), "{bad}");
+        }
+        // What lens files may say, and nothing beyond.
+        for (pitch, axis, good) in [
+            ("2e-5", "[-1e6, 1e6]", true),
+            ("1e3", "[0.0, -7.5]", true),
+            ("1e-300", "[0.0, 0.0]", false),
+            ("1e6", "[0.0, 0.0]", false),
+            ("0.006", "[1e8, 0.0]", false),
+            ("0.006", "[0.0, -1e300]", false),
+            ("0.006", "[nan, 0.0]", false),
+        ] {
+            let read = toml::from_str::<Frame>(&format!("columns = 9\nrows = 5\npitch_mm = {pitch}\naxis_px = {axis}"));
+            assert_eq!(read.is_ok(), good, "{pitch} {axis}");
         }
     }
 }

@@ -102,6 +102,7 @@ fn each_fault_has_its_own_error() {
         assert!(good.contains(from), "{from}\n{good}");
         good.replacen(from, to, 1)
     };
+    let slope = good.lines().find(|l| l.starts_with("max_slope")).expect("a slope").to_owned();
     let cases = [
         ("unknown key", with("name = \"test kit\"", "name = \"test kit\"\ncolour = 3"), "colour"),
         ("unknown distortion key", with("residual_mm", "k9 = 1.0\nresidual_mm"), "k9"),
@@ -118,6 +119,23 @@ fn each_fault_has_its_own_error() {
         ("tile", with("tile_px = 96", "tile_px = 40"), "overlap_px"),
         ("frame", with("columns = 64", "columns = 0"), "columns"),
         ("sensor", with("bits = 12", "bits = 99"), "bits"),
+        (
+            "axis",
+            with("axis_px = [32.0, 24.0]", "axis_px = [1e300, 24.0]"),
+            "axis_px: [1e300, 24.0]; two numbers of pixels",
+        ),
+        ("pitch", with("pitch_mm = 0.006", "pitch_mm = 1e-300"), "pitch_mm"),
+        ("pitch", with("pitch_mm = 0.006", "pitch_mm = 1e6"), "pitch_mm: 1000000; 1e-5 to 1000 mm"),
+        ("slope", with(&slope, "max_slope = 5e-324"), "distortion.max_slope: 5e-324; at least 1e-12"),
+        ("slope", with(&slope, "max_slope = 1e-310"), "distortion.max_slope"),
+        ("slope", with(&slope, "max_slope = inf"), "distortion.max_slope"),
+        (
+            "coefficients",
+            with("coefficients_mm = [", "coefficients_mm = [1e300, 0.0, 0.0, 0.0] #"),
+            "distortion.coefficients_mm",
+        ),
+        ("folds", with("coefficients_mm = [", "coefficients_mm = [1.0, -1.0, 0.0, 0.0] #"), "stops growing"),
+        ("residual", with("residual_mm = 0.0001", "residual_mm = -1.0"), "distortion.residual_mm: -1.0; 0 or more"),
         ("no TOML", "= 3".into(), "line 1"),
     ];
     for (what, text, words) in cases {

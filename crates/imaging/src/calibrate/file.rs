@@ -75,23 +75,15 @@ impl MeasuredDistortion {
 
     fn check(&self, file: &str) -> Result<()> {
         let refuse = |place: &str, found: String, allowed: &str| Err(Error::bad(file, place, found, allowed));
-        for (place, value) in [("focal_length_px", self.focal_length_px), ("max_slope", self.max_slope)] {
-            if !(f64::MIN_POSITIVE..1e9).contains(&value) {
-                return refuse(place, value.to_string(), "above 0 and below 1e9");
-            }
-        }
-        if !(0.0..1e9).contains(&self.rms_px) {
-            return refuse("rms_px", self.rms_px.to_string(), "0 or more and below 1e9");
+        if !(f64::MIN_POSITIVE..1e9).contains(&self.focal_length_px) {
+            return refuse("focal_length_px", self.focal_length_px.to_string(), "above 0 and below 1e9");
         }
         if !(self.k.iter().chain(&self.centre_px).all(|v| v.abs() < 1e9)) {
             return refuse("k, centre_px", format!("{:?}, {:?}", self.k, self.centre_px), "finite numbers below 1e9");
         }
         Frame::centred(self.columns, self.rows, 1.0).map_err(|e| e.in_file(Path::new(file)))?;
         check_centre(file, self.centre_px, [self.columns, self.rows])?;
-        if self.camera().folds(self.max_slope).is_some() {
-            return refuse("k", "image height stops growing".into(), "a model that grows up to max_slope");
-        }
-        Ok(())
+        self.distortion().check(["max_slope", "k", "rms_px"]).map_err(|e| e.in_file(file))
     }
 
     fn camera(&self) -> Pinhole {
@@ -159,6 +151,8 @@ mod tests {
             ("rows = 720", "rows = 720\nzoom = 3", "zoom"),
             ("focal_length_px = 1157.0", "focal_length_px = nan", "focal_length_px"),
             ("max_slope = 0.6", "max_slope = -1.0", "max_slope"),
+            ("max_slope = 0.6", "max_slope = 5e-324", "max_slope: 5e-324; at least 1e-12"),
+            ("rms_px = 0.9", "rms_px = -1.0", "rms_px"),
             ("rms_px = 0.9", "rms_px = inf", "rms_px"),
             ("centre_px = [665.0", "centre_px = [nan", "centre_px"),
             ("-0.25", "-2.5", "growing"),

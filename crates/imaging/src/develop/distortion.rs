@@ -68,6 +68,40 @@ impl Distortion {
     }
 }
 
+/// Slopes at which a model of a file may end: from far below a pixel's to far beyond any lens's.
+const SLOPES: std::ops::Range<f64> = 1e-12..1e9;
+/// Coefficients of a model of a file, mm or pixels, are smaller than this.
+const LARGEST: f64 = 1e12;
+/// Largest residual of a model of a file, mm or pixels.
+const FARTHEST: f64 = 1e9;
+
+impl Distortion {
+    /// Refuses a model that no lens has; `keys` are those of the end, the coefficients and the residual in its file.
+    ///
+    /// # Errors
+    /// As said, without the file.
+    #[doc(hidden)]
+    pub fn check(&self, keys: [&str; 3]) -> Result<()> {
+        let bad = |key: usize, found: String, allowed: String| Err(Error::bad("", keys[key], found, allowed));
+        if !SLOPES.contains(&self.max_slope) {
+            let allowed = format!("at least {:e} and below {:e}", SLOPES.start, SLOPES.end);
+            return bad(0, format!("{:?}", self.max_slope), allowed);
+        }
+        if !self.coefficients_mm.iter().all(|b| b.abs() < LARGEST) {
+            let listed = self.coefficients_mm.map(|b| format!("{b:?}")).join(", ");
+            return bad(1, listed, format!("finite numbers below {LARGEST:e}"));
+        }
+        if !(0.0..FARTHEST).contains(&self.residual_mm) {
+            return bad(2, format!("{:?}", self.residual_mm), format!("0 or more and below {FARTHEST:e}"));
+        }
+        let grows = |i: i32| self.sensor_from_slope_derivative(self.max_slope * f64::from(i) / 256.0) > 0.0;
+        if !(0..=256).all(grows) {
+            return bad(1, "image height stops growing".into(), "a model that grows up to max_slope".into());
+        }
+        Ok(())
+    }
+}
+
 /// Samples of the fit (paper §3.1.3).
 const SAMPLES: u32 = 16;
 /// What the radius of a fit that folds is multiplied by.

@@ -46,7 +46,11 @@ struct Map<'a> {
 impl<'a> Map<'a> {
     /// By `source_radius(output radius)`, both mm from the axis.
     fn new(frame: &'a Frame, source_radius: impl Fn(f64) -> f64 + Sync) -> Self {
-        Self { frame, table: RadialTable::new(&source_radius, frame.max_radius_mm() / frame.pitch_mm, frame.pitch_mm) }
+        let mut table = RadialTable::new(&source_radius, frame.max_radius_mm() / frame.pitch_mm, frame.pitch_mm);
+        // A kernel wider than the picture reads the same samples as one as wide.
+        let most = frame.columns.max(frame.rows) as f64;
+        table.nodes.iter_mut().for_each(|(_, stretch)| *stretch = stretch.min(most));
+        Self { frame, table }
     }
 
     /// Column and row, pixels, that the pixel `(i, j)` comes from, and how far apart its neighbours' are; `None` outside the picture.
@@ -159,9 +163,11 @@ struct RadialTable {
 
 impl RadialTable {
     const PER_PIXEL: f64 = 2.0;
+    /// Nodes at most: those of the largest frame whose axis lies as far outside as a file may say. Beyond them the ratio is constant.
+    const MOST: usize = 1 << 22;
 
     fn new(source_radius: &(impl Fn(f64) -> f64 + Sync), max_px: f64, pitch_mm: f64) -> Self {
-        let count = (max_px * Self::PER_PIXEL).ceil() as usize + 2;
+        let count = ((max_px * Self::PER_PIXEL).ceil() as usize).min(Self::MOST) + 2;
         let radius = |i: usize| i as f64 / Self::PER_PIXEL;
         let source: Vec<f64> =
             (0..=count).into_par_iter().map(|i| source_radius(radius(i) * pitch_mm) / pitch_mm).collect();
@@ -179,6 +185,8 @@ impl RadialTable {
     fn range(&self, radii_px: [f64; 2]) -> ([f64; 2], f64) {
         let last = self.nodes.len() - 1;
         let [from, to] = radii_px.map(|r| ((r * Self::PER_PIXEL) as usize).min(last));
+        // (A frame whose numbers overflow has radii that are none.)
+        let to = to.max(from);
         let around = &self.nodes[from.saturating_sub(1)..=(to + 2).min(last)];
         around.iter().fold(([f64::INFINITY, f64::NEG_INFINITY], 1.0), |([low, high], most), (ratio, stretch)| {
             ([low.min(*ratio), high.max(*ratio)], stretch.max(most))
@@ -456,6 +464,30 @@ mod tests {
                 }
             }
             assert!((f64::from(weighted(&plane, columns, &across, &down)) - expected).abs() < 2e-6);
+        }
+    }
+
+    /// Whatever finite numbers a frame and a distortion have, a picture comes out, of a table that has an end.
+    #[test]
+    fn no_finite_numbers_are_too_large() {
+        // Axis, pitch, end and first coefficient of the distortion.
+        let cases = [
+            [1e300, 0.05, 1.0, 1.0],
+            [-1e18, 0.05, 1.0, 1e300],
+            [1e8, 1e-300, 1e300, 1.0],
+            [4.0, 1e300, 5e-324, 1.0],
+            [4.0, 1e-300, 1e-300, -1.0],
+            [4.0, 0.05, 1e300, 1e300],
+            [4.0, 0.05, 5e-324, 5e-324],
+            [0.0, 0.05, 1.0, 0.0],
+        ];
+        for [at, pitch_mm, max_slope, first] in cases {
+            let frame = Frame::centred(9, 7, pitch_mm).expect("positive").with_axis([at, 2.0]).expect("finite");
+            let coefficients_mm = [first, 0.5 * first, 1e8 * first.signum(), -first];
+            let distortion = Distortion { max_slope, coefficients_mm, residual_mm: 0.0 };
+            let mut image = Array3::from_elem((3, 7, 9), 0.5_f32);
+            let outside = undistort(&mut image, &frame, &distortion);
+            assert!((0.0..=1.0).contains(&outside), "{at} {pitch_mm} {max_slope} {first}");
         }
     }
 
