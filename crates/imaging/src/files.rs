@@ -12,6 +12,7 @@ mod jpeg;
 mod npy;
 mod png_file;
 mod read;
+mod room;
 mod tiff_file;
 
 use std::io::Cursor;
@@ -31,9 +32,10 @@ use crate::exif::{Exif, Undefined};
 use isoplanat_base::atomic::{Target, write_atomic};
 use isoplanat_base::error::{Error, Result};
 pub use read::{
-    Encoding, Planes, Stored, picture_size, read_linear, read_picture, read_planes, read_seen_within,
-    read_sensor_planes, read_stored, read_stored_within,
+    Encoding, Planes, Stored, picture_size, read_linear, read_picture, read_planes, read_sensor_planes, read_stored,
 };
+#[doc(hidden)]
+pub use read::{read_seen_within, read_stored_within};
 
 /// Endings of pictures that are read and written.
 pub const PICTURES: [&str; 6] = ["png", "tif", "tiff", "jpg", "jpeg", "npy"];

@@ -6,7 +6,7 @@ use ndarray::{Array2, Array3, ArrayViewD, Axis};
 use ndarray_npy::{ReadableElement, ViewElement, ViewNpyError, ViewNpyExt, WriteNpyError, WriteNpyExt};
 
 use super::content::{Alpha, Content, Samples, finite};
-use super::read::Room;
+use super::room::Room;
 use isoplanat_base::atomic::{Target, read_bounded, write_atomic};
 use isoplanat_base::error::{Error, Result};
 

@@ -9,44 +9,12 @@ use ndarray::{Array3, Axis};
 use rayon::prelude::*;
 
 use super::content::{ALLOWED, Alpha, Content, Samples, finite, unread};
+use super::room::Room;
 use super::{jpeg, npy, png_file, tiff_file};
 use crate::develop::profile::{Curve, Told};
 use crate::exif::Turn;
 use isoplanat_base::error::{Error, Result};
-use isoplanat_base::math::memory::{Limit, product};
-
-/// Bytes of the planes that are made of a pixel: [`read_stored`]'s three, [`read_planes`]' as many as it has.
-type Made = fn(channels: usize) -> usize;
-const STORED: Made = |_| 3 * size_of::<f32>();
-const PLANES: Made = |channels| channels * size_of::<f64>();
-
-/// What reading a picture may take, and what is made of it.
-#[derive(Clone, Copy)]
-pub(super) struct Room {
-    memory: Limit,
-    made: Made,
-}
-
-impl Room {
-    /// Refuses a picture whose pixels there is no memory for, before they are decoded: `decoding` bytes of the decoder, samples of `sample` bytes a channel,
-    /// and the planes that are made of them.
-    pub(super) fn allow(
-        &self,
-        path: &Path,
-        [rows, cols]: [usize; 2],
-        decoding: u64,
-        (channels, sample): (usize, usize),
-    ) -> Result<()> {
-        let bytes = product(&[rows, cols, channels * sample + (self.made)(channels)]).saturating_add(decoding);
-        let picture = format!("{}: {cols} × {rows} pixels", path.display());
-        self.memory.allow(&picture, bytes, "a smaller picture")
-    }
-
-    /// Refuses a file that is read whole, before its size in pixels is known.
-    pub(super) fn allow_bytes(&self, path: &Path, bytes: u64) -> Result<()> {
-        self.memory.allow(&path.display().to_string(), bytes, "a smaller picture")
-    }
-}
+use isoplanat_base::math::memory::Limit;
 
 /// What the numbers of an integer picture stand for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -145,7 +113,7 @@ pub fn read_stored(path: &Path, encoding: Option<Encoding>) -> Result<Stored> {
 /// As [`read_stored`].
 #[doc(hidden)]
 pub fn read_stored_within(path: &Path, encoding: Option<Encoding>, memory: Limit) -> Result<Stored> {
-    let content = content(path, Room { memory, made: STORED })?;
+    let content = content(path, Room::stored(memory))?;
     let taken = Taken::of(encoding, &content, Curve::Srgb);
     let (orientation, left_out) = (content.orientation, content.alpha.map(Alpha::words));
     let single = |v: f64| v as f32;
@@ -235,7 +203,7 @@ pub fn read_sensor_planes(path: &Path, encoding: Option<Encoding>) -> Result<Pla
 
 /// Channels as they are stored, and Exif's orientation.
 fn stored_planes(path: &Path, encoding: Option<Encoding>) -> Result<(Planes, u8)> {
-    let content = content(path, Room { memory: Limit::of_process(), made: PLANES })?;
+    let content = content(path, Room::planes(Limit::of_process()))?;
     let usual = if matches!(content.samples, Samples::U8(_)) { Curve::Srgb } else { Curve::Linear };
     let taken = Taken::of(encoding, &content, usual);
     let channels = content.channels;

@@ -9,7 +9,7 @@ use tiff::tags::{CompressionMethod, ExtraSamples, SampleFormat, Tag};
 use tiff::{ColorType, TiffError};
 
 use super::content::{ALLOWED, Alpha, Content, Samples, finite, unread};
-use super::read::Room;
+use super::room::Room;
 use crate::develop::profile::Told;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_base::math::memory::product;
