@@ -122,7 +122,11 @@ mod tests {
         let folder = tempfile::tempdir().expect("made");
         let path = folder.path().join("dup.agf");
         for (first, notes) in [("1.2", 1), ("1.5", 0)] {
-            let one = |b: &str| format!("NM HX 2 0 1.5 64 0 1\nCD {b} 0.006\nLD 0.3 2.5\n");
+            let one = |b: &str| {
+                let (strength, square) = (b.parse::<f64>().expect("a number"), 0.587_561_8f64.powi(2));
+                let n_d = (1.0 + strength * square / (square - 0.006)).sqrt();
+                format!("NM HX 2 0 {n_d} 64 0 1\nCD {b} 0.006\nLD 0.3 2.5\n")
+            };
             std::fs::write(&path, one(first) + &one("1.5")).expect("written");
             let mut glasses = Glasses::shipped().clone();
             glasses.add(&path).expect("reads");

@@ -90,8 +90,8 @@ mod tests {
     fn every_kind_of_number_pulls_back() {
         let mut seen = Vec::new();
         for lens in every_kind().all() {
-            // Near the rim differences are noisier.
-            for (ray, floor) in rays().into_iter().zip([1e-3, 5e-3]) {
+            // Differences are noisier near the rim, and of small terms that stand alone; the test below has exact ones.
+            for (ray, floor) in rays().into_iter().zip([2e-3, 5e-3]) {
                 let gradient = pulled(&lens, ray);
                 for p in Parameter::all(&lens) {
                     let variables = Variables::new(&lens, vec![p]);
