@@ -95,11 +95,11 @@ fn names_are_found_or_refused() {
     let [short, long] = poles.find("EP", Naming::Exact).expect("a glass").range_nm();
     assert!(short == 404.656 && (880.0..900.6).contains(&long), "{short} to {long}");
     // Coefficients of another glass, and none at all, where the line says what they should make; of an infrared glass it says nothing.
-    let text = "NM WRONG 2 0 1.7481 0\nCD 1.039 0.006 0.2318 0.02 1.0105 103.56\nLD 0.4 2\nNM AIR 2 0 1.5168 0\nCD 0 0 0\nLD 0.4 2\n\
+    let text = "NM WRONG 2 0 1.7481 0\nCD 1.039 0.006 0.2318 0.02 1.0105 103.56\nLD 0.4 2\nNM NOUGHT 2 0 1.5168 0\nCD 0 0 0\nLD 0.4 2\n\
                 NM IR 2 0 1.0 0\nCD 4.0 0.1\nLD 0.5 2\n";
     std::fs::write(folder.path().join("wrong.agf"), text).expect("written");
     poles.add(&folder.path().join("wrong.agf")).expect("read");
-    for (name, made, says) in [("WRONG", "1.5166", "1.7481"), ("AIR", "1.0000", "1.5168")] {
+    for (name, made, says) in [("WRONG", "1.5166", "1.7481"), ("NOUGHT", "1.0000", "1.5168")] {
         let error = poles.find(name, Naming::Exact).expect_err("another glass").to_string();
         assert!(error.contains(&format!("n_d {made}, where the line says {says}")), "{error}");
     }
