@@ -192,7 +192,7 @@ impl Draft<'_> {
         let candidates = self.candidates(around);
         let stands = candidates.drawn(count);
         // A sample a cell, the mean of as many points as see every texel.
-        let sampled = self.shared((1, self.first.bin * self.seen()), &stands, half);
+        let sampled = self.shared(std::iter::once((1, self.first.bin * self.seen())), &stands, half);
         let probing = Probing {
             optics: &self.light,
             colours: &self.light,

@@ -15,6 +15,7 @@ use super::plan::{DepthPlan, RenderPlan, Settings, in_cells, quadrature};
 use super::probe::{Probing, Values};
 use super::renderer::Renderer;
 use super::shared::Shared;
+use super::source::WarpedScene;
 use super::stands::{SIDE, Stand};
 use crate::plane::Region;
 use crate::render::node_grid::NodeGrid;
@@ -82,7 +83,8 @@ impl Draft<'_> {
             None => self.candidates(around).drawn(count),
         };
         let reach = if bent.is_some() { size.max(first.size()) } else { size } / 2;
-        let sampled = self.sampled(most, &stands, reach);
+        let samplings = Settings::SAMPLES.into_iter().filter(|m| *m <= most).map(|m| (m, first.bin));
+        let sampled = self.shared(samplings, &stands, reach);
         let probing = Probing {
             optics: &self.light,
             colours: &self.colours,
@@ -122,22 +124,17 @@ impl Draft<'_> {
         Ok((cheapest(&found, target, base, &cost(&work)), found))
     }
 
-    /// By scene, it at every number of samples a pixel up to `most`, for probes at `stands` whose windows reach `reach` cells.
-    fn sampled(&self, most: usize, stands: &[Stand], reach: usize) -> Vec<Vec<Shared<'_>>> {
-        let samples: Vec<usize> = Settings::SAMPLES.into_iter().filter(|m| *m <= most).collect();
-        let mut all: Vec<Vec<Shared<'_>>> = self.scenes.iter().map(|_| Vec::new()).collect();
-        for m in samples {
-            let each = self.shared((m, self.first.bin), stands, reach);
-            all.iter_mut().zip(each).for_each(|(scene, mut one)| scene.append(&mut one));
-        }
-        all
-    }
-
-    /// By scene, it at one sampling, shared by what stands before it.
-    pub(super) fn shared(&self, sampling: (usize, usize), stands: &[Stand], reach: usize) -> Vec<Vec<Shared<'_>>> {
+    /// By scene, it at each sampling, shared by probes at `stands` whose windows reach `reach` cells.
+    pub(super) fn shared(
+        &self,
+        samplings: impl Iterator<Item = (usize, usize)> + Clone,
+        stands: &[Stand],
+        reach: usize,
+    ) -> Vec<Vec<Shared<'_>>> {
         let of = |(k, scene)| {
             let places = stands.iter().filter(|s| s.scene == k).map(|s| s.region);
-            vec![Shared::new(self.warped(scene, sampling), places, reach)]
+            let at = |sampling| Shared::new(self.warped(scene, sampling), places.clone(), reach);
+            samplings.clone().map(at).collect()
         };
         self.scenes.iter().enumerate().map(of).collect()
     }
@@ -153,16 +150,15 @@ impl Draft<'_> {
         let looked = |stand: &&Stand| (stand.region.rows, stand.region.cols) == (SIDE, SIDE);
         let channels = Channels::all();
         // By stand, what cells of a size make there.
-        let values = |placed: &Renderer, mut renderer: Renderer| -> Vec<Values> {
-            let depth = &placed.plan.depths[0];
-            let (own, reach) = (depth.bin, depth.half_width);
-            let sources: Vec<Shared<'_>> = (0..self.scenes.len())
-                .map(|k| {
-                    let seen = stands.iter().filter(looked).filter(|s| s.scene == k);
-                    let places = seen.map(|s| super::coarse::cells(pixels(s), own));
-                    Shared::new(placed.source(&self.scenes[k], 0, &channels), places, reach)
-                })
-                .collect();
+        let values = |mut renderer: Renderer| -> Vec<Values> {
+            let DepthPlan { bin: own, half_width, samples, raster, .. } = renderer.plan.depths[0].clone();
+            let source = |(k, scene)| {
+                let seen = stands.iter().filter(looked).filter(|s| s.scene == k);
+                let places = seen.map(|s| super::coarse::cells(pixels(s), own));
+                let shown = channels.of_texture(scene);
+                Shared::new(WarpedScene::new(scene, &light.maps[0], &raster, (samples, own), shown), places, half_width)
+            };
+            let sources: Vec<Shared<'_>> = self.scenes.iter().enumerate().map(source).collect();
             let steps = (bin / own).cast_signed();
             let one = |stand: &Stand| {
                 renderer.plan.depths[0].grid = NodeGrid::single(stand.region.row * steps, stand.region.col * steps);
@@ -174,11 +170,7 @@ impl Draft<'_> {
         };
         let twins = [bin, bin / 2].map(|b| self.on_cells(b, light));
         let [Some(coarse), Some(fine)] = twins else { return stands.iter().map(nothing).collect() };
-        let [a, b] = [coarse, fine].map(|placed| {
-            let renderer = Renderer::with(placed.optics.clone(), placed.plan.clone());
-            values(&placed, renderer).into_iter()
-        });
-        let mut differences = a.zip(b);
+        let mut differences = values(coarse).into_iter().zip(values(fine));
         let of = |stand: &Stand| {
             if !looked(&stand) {
                 return nothing(stand);

@@ -140,7 +140,7 @@ impl Renderer {
         task.cheapest()
     }
 
-    pub(super) fn source<'a>(&'a self, scene: &'a Plane, depth: usize, channels: &Channels) -> WarpedScene<'a> {
+    fn source<'a>(&'a self, scene: &'a Plane, depth: usize, channels: &Channels) -> WarpedScene<'a> {
         let d = &self.plan.depths[depth];
         WarpedScene::new(scene, &self.optics.maps[depth], &d.raster, (d.samples, d.bin), channels.of_texture(scene))
     }

@@ -49,8 +49,9 @@ impl Glass<'_> {
             coefficients.resize(count, 0.0);
             let medium = glass(self.name, file, formula, coefficients, range.map(|um| um * 1e3))?;
             let stated = self.n_d.filter(|n| STATED.contains(n) && (range[0]..=range[1]).contains(&(HELIUM_NM * 1e-3)));
-            match stated.map(|n_d| (n_d, medium.index(HELIUM_NM))) {
-                Some((n_d, index)) if (index - n_d).abs().is_nan() || (index - n_d).abs() > NEAR => {
+            let index = medium.index(HELIUM_NM);
+            match stated {
+                Some(n_d) if !(n_d - NEAR..=n_d + NEAR).contains(&index) => {
                     Err(format!("coefficients that make its n_d {index:.4}, where the line says {n_d}"))
                 }
                 _ => Ok(medium),

@@ -125,6 +125,31 @@ fn steepest_bounds_every_slope() {
     }
 }
 
+/// Of few freeform terms that are small beside the rest it is near, too.
+#[test]
+fn the_bound_of_small_freeforms_is_near() {
+    for seed in 0..60 {
+        let rng = &mut fastrand::Rng::with_seed(seed);
+        let mut draw = |w: f64| between(rng, -w, w);
+        let mut shape = Shape { curvature: draw(0.08), conic: draw(1.0), ..Shape::default() };
+        if seed % 4 > 0 {
+            shape.asphere = vec![draw(1e-3), draw(1e-4), draw(1e-6)];
+        }
+        if seed % 4 > 1 {
+            shape.odd = vec![draw(1e-3), draw(1e-5)];
+        }
+        if seed % 4 > 2 {
+            shape.zernike = Some(Zernike::new(RADIUS, (0..10).map(|_| draw(1e-2)).collect()));
+        }
+        let bound = shape.steepest(RADIUS);
+        let slopes = (0..200u32).flat_map(|i| (0..8u32).map(move |k| (RADIUS * f64::from(i) / 199.0, f64::from(k))));
+        let slopes = slopes.map(|(r, t)| shape.at(r * t.cos(), r * t.sin()).expect("inside").slope);
+        let largest = slopes.map(|s| s[0].hypot(s[1])).fold(0.0, f64::max);
+        assert!(bound >= largest, "seed {seed}: {bound} {largest}");
+        assert!(bound <= 1.3 * largest + 0.2, "seed {seed}: {bound} {largest}");
+    }
+}
+
 /// A number that is none has no bound, whichever it is.
 #[test]
 fn nothing_bounds_what_is_no_number() {
